@@ -20,7 +20,8 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from arfx.analyse.job import Analysis, AnalysisFrame
-from arfx.analyse.markers.corners import LIGHT, linear_table
+from arfx.analyse.markers.corners import LIGHT, cell_px, linear_table
+from arfx.analyse.markers.edges import FRACTIONS, Light, profiles
 from arfx.analyse.markers.search import ANY, Sighting
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.lens import LensFit
@@ -29,13 +30,10 @@ from arfx.core.marker_codes import cells_per_side
 from arfx.core.numerics import condition, divide, normalise
 from arfx.core.pose import Pose
 
-NORMALS = 24  # per side
-FRACTIONS = (
-    0.12 + 0.76 * (np.arange(NORMALS) + 0.5) / NORMALS
-)  # corners are blurred by two sides
-_STEP_PX = 0.25
+INNER = slice(3, -3)  # of the edge's samples: corners are blurred by two sides
+_STEP_PX, _LEAST_HALF_PX = 0.25, 2.0
 _HALF_CELLS, _MOST_HALF_PX = (
-    0.8,
+    0.7,
     24.0,
 )  # what is looked at: the rim and the margin are a cell wide
 _WINDOWS = 2.5  # window by standard deviations of the blur
@@ -60,51 +58,33 @@ def side_blurs(
     luma : (h, w) uint8;  corners_px : (4, 2) clockwise in the picture;  table : (256,)
     coded luma to linear light, 0..255
     """
-    out = np.full(4, np.nan)
-    x0, y0 = np.maximum(np.floor(corners_px.min(0)).astype(int) - int(_MOST_HALF_PX) - 2, 0)
-    x1, y1 = np.ceil(corners_px.max(0)).astype(int) + int(_MOST_HALF_PX) + 3
-    from scipy.ndimage import map_coordinates
-
-    light = np.take(table, luma[y0:y1, x0:x1])
-    if min(light.shape) < 8:
-        return out
-    for side in range(4):
-        before, a, b, after = np.roll(corners_px - [x0, y0], 1 - side, 0)
-        along = normalise(b - a)
-        across = np.array([-along[1], along[0]])
-        # a cell is less deep across the side than it is long where the print is tilted, the
-        # less the farther the side
-        deep = min(abs(float((before - a) @ across)), abs(float((after - b) @ across)))
-        nearer = divide(float(np.linalg.norm(b - a)), float(np.linalg.norm(after - before)))
-        deep *= min(float(nearer), 1.0)
-        half = min(_HALF_CELLS * deep / cells, _MOST_HALF_PX)
-        count = int(half / _STEP_PX)
-        if count < 8:
-            continue
-        at = _STEP_PX * np.arange(-count, count + 1)
-        p = (a + (b - a) * FRACTIONS[:, None])[:, None] + at[:, None] * across
-        inside = ((p >= 0) & (p <= [light.shape[1] - 1, light.shape[0] - 1])).all((1, 2))
-        if inside.sum() < NORMALS // 2:
-            continue
-        p = p[inside]
-        profiles = map_coordinates(light, [p[..., 1], p[..., 0]], order=1)
-        out[side] = _deviation(profiles, FRACTIONS[inside], at, half)
-    return out
+    half = np.minimum(
+        _HALF_CELLS * cell_px(corners_px[None], np.array([cells]))[0], _MOST_HALF_PX
+    )
+    steps = 2 * int(half.max() / _STEP_PX) + 1
+    light = Light(luma, table, corners_px, 2 * half.max())
+    corners = corners_px[None] @ [1, 1j]
+    fall, place = profiles([light], corners, np.zeros((1, 4, 1)), half[None], steps)
+    return np.array(
+        [
+            _deviation(fall[0, side, INNER], place[0, side, INNER], half[side])
+            for side in range(4)
+        ]
+    )
 
 
-def _deviation(
-    profiles: np.ndarray, where: np.ndarray, at: np.ndarray, half: float
-) -> float:
-    """Standard deviation px of the common edge of profiles (n, s) at offsets at (s,) px;
-    NaN where there is none.
+def _deviation(slope: np.ndarray, place: np.ndarray, half: float) -> float:
+    """Standard deviation px of the common edge that light falls by `slope` (n, s) across, at
+    places (n, s) px; NaN where there is none.
     """
-    middle = (at[1:] + at[:-1]) / 2
-    slope = np.diff(profiles, axis=1)
+    if not half >= _LEAST_HALF_PX:
+        return np.nan
     if slope.sum() < 0:
         slope = -slope
-    window = np.exp(-0.5 * (middle / (half / 2)) ** 2)
+    middle, where = place.mean(0), FRACTIONS[INNER]
+    window = np.exp(-0.5 * (place / (half / 2)) ** 2)
     centre = divide(
-        (slope * window * middle).sum(1), (slope * window).sum(1), where_zero=np.nan
+        (slope * window * place).sum(1), (slope * window).sum(1), where_zero=np.nan
     )
     ok = np.isfinite(centre) & (np.abs(centre) < half / 2)
     for _ in range(2):
@@ -113,8 +93,8 @@ def _deviation(
         edge, shift = ok, np.polyval(np.polyfit(where[ok], centre[ok], 2), where)
         off = np.abs(shift - centre)
         ok = ok & (off <= max(3 * float(np.median(off[ok])), 0.1))
-    aligned = zip(shift[edge], slope[edge], strict=True)
-    mean = np.mean([np.interp(middle, middle - s, g) for s, g in aligned], axis=0)
+    aligned = zip(place[edge] - shift[edge, None], slope[edge], strict=True)
+    mean = np.mean([np.interp(middle, at, g) for at, g in aligned], axis=0)
     s = half / 4
     for _ in range(_ROUNDS):
         w = min(max(_WINDOWS * s, 1.0), half / 2)

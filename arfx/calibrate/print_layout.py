@@ -19,7 +19,7 @@ from arfx.calibrate.board import (
     charuco_board,
 )
 from arfx.core.guard import atomic_write
-from arfx.core.marker import FAMILIES, MarkerSpec
+from arfx.core.marker import MarkerSpec
 from arfx.core.marker_codes import marker_cells
 from arfx.core.units import length_m
 from arfx.errors import ConfigError
@@ -142,10 +142,10 @@ class _Print(NamedTuple):
 
 
 def _marker(marker: MarkerSpec) -> _Print:
-    size, bits = marker.size_m * 1000, marker_bits(marker.family, marker.id)
-    module = size / len(bits)  # the least white; neighbours share nothing
+    size, black = marker.size_m * 1000, ~marker_cells(marker.family, marker.id)
+    module = size / len(black)  # the least white; neighbours share nothing
     words = f"{marker}" if size >= 40 else f"{marker.key} {size:g}mm"
-    return _Print((size, size, module), [Cells(0, 0, module, bits)], words)
+    return _Print((size, size, module), [Cells(0, 0, module, black)], words)
 
 
 def _board(spec: BoardSpec) -> _Print:
@@ -161,9 +161,9 @@ def _board(spec: BoardSpec) -> _Print:
         for number, corners in zip(
             np.ravel(board.getIds()), board.getObjPoints(), strict=True
         ):
-            bits = marker_bits(spec.family, int(number))
+            black = ~marker_cells(spec.family, int(number))
             x, y, _ = 1000 * np.asarray(corners, float)[0]
-            cells.append(Cells(x, y, spec.marker_m * 1000 / len(bits), bits))
+            cells.append(Cells(x, y, spec.marker_m * 1000 / len(black), black))
     words = str(spec) + (" (inner corners)" if spec.kind == CHESSBOARD else "")
     return _Print((columns * square, rows * square, 0.0), cells, words)
 
@@ -198,17 +198,6 @@ def _sheet(
     words = f"{length:g} mm: measure this line; print at 100 %, not 'fit to page'"
     texts.append(Text(width / 2, y - 3.5, words))
     return Sheet(title, width, height, tuple(cells), tuple(texts), tuple(lines))
-
-
-def marker_bits(family: str, number: int) -> np.ndarray:
-    """(n, n) bool, True = black; n modules along the marker's black square, its border of
-    one included.
-    """
-    if not 0 <= number < FAMILIES[family]:
-        raise ConfigError(
-            f"marker {family}:{number}: {family} has ids 0 to {FAMILIES[family] - 1}"
-        )
-    return ~marker_cells(family, number)
 
 
 def outlines(cells: Cells) -> np.ndarray:

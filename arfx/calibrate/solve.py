@@ -193,13 +193,9 @@ def without_pose(by_intrinsics: np.ndarray, by_pose: np.ndarray) -> np.ndarray:
     """What of the intrinsics' derivatives (2n, p) no motion of the board can imitate: the
     projection off `by_pose` (2n, 6).
     """
-    scale = np.linalg.norm(by_pose, axis=0)
-    q, r = np.linalg.qr(divide(by_pose, scale[None]))
-    firm = (
-        np.abs(np.diag(r)) > 1e-10
-    )  # below that a pose direction does not move the corners at all
-    q = q[:, firm]
-    return by_intrinsics - q @ (q.T @ by_intrinsics)
+    # a pose direction of less than 1e-10 does not move the corners at all
+    scaled = divide(by_pose, np.linalg.norm(by_pose, axis=0)[None])
+    return by_intrinsics - scaled @ np.linalg.lstsq(scaled, by_intrinsics, 1e-10)[0]
 
 
 def information(fitted: Fit) -> list[np.ndarray]:

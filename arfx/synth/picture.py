@@ -5,14 +5,13 @@ Samples over pixel, shutter and lens are averaged in linear light."""
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
 
 import cv2
 import numpy as np
 
 from arfx.core.colour import Transfer
-from arfx.core.machine import usable_cores
+from arfx.core.parallel import parallel_map
 from arfx.core.pose import Pose
 from arfx.synth.description import SceneFile
 from arfx.synth.rays import Rays, Room
@@ -40,7 +39,6 @@ class Picture:
                 self.side, 4
             )  # fewer than 16 moments or lens points leave separate copies of an edge
         self._rays: dict[tuple[float, float], np.ndarray] = {}
-        self._pool = ThreadPoolExecutor(min(usable_cores(), 8))
 
     def rays(self, dx: float, dy: float) -> np.ndarray:
         """(h, w, 2) camera directions at pixel centres shifted by (dx, dy) px; NaN where
@@ -109,7 +107,7 @@ class Picture:
             return radiance(self._through_lens(rays, y, x, pose, footprint, seed), room)
 
         parts = filter(len, np.split(pixels, cuts))
-        light, numbers = zip(*self._pool.map(one, parts), strict=True)
+        light, numbers = zip(*parallel_map(one, parts), strict=True)
         return np.concatenate(light), np.concatenate(numbers)
 
     def _through_lens(

@@ -8,6 +8,7 @@ import itertools
 import zlib
 from pathlib import Path
 
+import cv2
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
@@ -207,10 +208,9 @@ def _summed_areas(
     rows, tables, first = [], [np.zeros((1, 3))], 1
     for picture, smallest in pictures:
         h, w = picture.shape[:2]
-        sums = np.zeros((h + 1, w + 1, 3))
-        sums[1:, 1:] = picture.astype(float).cumsum(0).cumsum(1)
+        rgb = np.broadcast_to(picture, (h, w, 3)).astype(float)
         rows.append([first, w, h, smallest])
-        tables.append(sums.reshape(-1, 3))
+        tables.append(np.asarray(cv2.integral(rgb), float).reshape(-1, 3))
         first += len(tables[-1])
     return np.reshape(rows, (-1, 4)).astype(float), np.concatenate(tables)
 

@@ -1,16 +1,19 @@
 """Planes of the real scene in a measured depth map: several, robust, each with what its
-points miss of it (sequential RANSAC).
+points miss of it.
 
-Thresholds are multiples of the cloud's own noise. Deterministic. Planes of several maps are
+Of a plane 1 / depth is linear in the viewing ray, and a depth sensor's noise in 1 / depth is
+the same everywhere: small squares of the picture tell the noise, and the flat ones are
+hypotheses. Thresholds are multiples of the noise. Planes of several maps are
 brought together in one frame; what was seen of one is a mask: its points moved onto it, in
 cells, the rim smoothed, small holes closed.
 Source: docs/methods/calibration.md#planes.
-Cost: O(points x log points), and O(hypotheses x points) per plane."""
+Cost: O(patches x points) per plane."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -20,23 +23,19 @@ from arfx.core.numerics import divide, normalise
 from arfx.core.pose import Pose
 from arfx.core.real_depth import RealPlane
 
-NEIGHBOURS = 24
 MOST_POINTS = 14000  # about so many are taken, evenly over the picture
-LEAST_NOISE_M = (
-    1e-3  # no sensor is better, and rounding to millimetres alone is a third of it
-)
-JUMP = 0.05  # of the distance: neighbours farther apart in depth lie on another surface
+# no sensor is better, and rounding to millimetres alone is a third of it
+LEAST_NOISE_M = 1e-3
+PATCH, FULL = 8, 0.5  # points along a side of a square; share that must be measured
+FLAT = 0.015  # of the distance: a square that misses its plane by more is none
 MOST_PLANES = 6
-HYPOTHESES = 120
 SCORED = 2500  # points that hypotheses are judged by
 LEAST_FRACTION = 0.03  # of all points: less is furniture
-NEAR = 3.0  # noises: on the plane
+NEAR = 2.5  # noises: on the plane
 TAKEN = 5.0  # noises: no seed of another plane
-FACING = np.cos(np.radians(30))  # a point's normal agrees with the plane's
-FLAT = 0.6  # share of agreeing neighbours with which a point may be a seed
-PART = (
-    0.1  # of the largest connected part: a smaller one is something else at the same height
-)
+ROUNDS = 12  # of a plane's refinement
+# of the largest connected part: a smaller one is something else at the same height
+PART = 0.1
 MOST_CELLS = 160  # along the longer side
 CLOSED = 2.5  # cells: holes and gaps narrower than twice this are closed
 _RIM = 1.5  # cells: standard deviation of the smoothing
@@ -53,78 +52,69 @@ LEAST_AREA_M2 = 0.02  # what nothing can stand on is no plane to stand on
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """points, normals (n, 3) CAMERA axes, metres;  rays (n, 3) : unit, towards the points;
-    neighbours (n, k) int
-    noise_m (n,) : standard deviation along the ray
-    flat (n,) : share of the neighbours whose normal agrees;  spacing_m (n,) : of
-    neighbouring points;  pixels (n, 2) x, y
-    """
+    """points (n, 3) CAMERA axes, metres;  rays (n, 3) : towards them, with z = 1
+    noise_m (n,) : standard deviation along the axis;  spacing_m (n,) : of neighbouring points
+    pixels (n, 2) : x, y;  grid (rows, columns) : number of the point, -1 = not measured
+    patches (k, 3) : planes of flat parts of the picture, as `plane @ ray` = 1 / depth"""
 
     points: np.ndarray
-    normals: np.ndarray
     rays: np.ndarray
-    neighbours: np.ndarray
     noise_m: np.ndarray
-    flat: np.ndarray
     spacing_m: np.ndarray
     pixels: np.ndarray
+    grid: np.ndarray
+    patches: np.ndarray
 
 
 def cloud_of(depth_m: np.ndarray, camera: Camera) -> Cloud | None:
     """depth_m : (h, w) along the optical axis, not finite or <= 0 = not measured.
 
-    None where too little is.
-    """
-    from scipy.spatial import (
-        cKDTree,
-    )  # 0.2 s with its kin, which a job without measured depth need not take
-
+    None where too little is."""
     known = np.isfinite(depth_m) & (depth_m > 0)
     h, w = depth_m.shape
     step = max(1, int(np.sqrt(known.sum() / MOST_POINTS)))
     y, x = np.mgrid[step // 2 : h : step, step // 2 : w : step]
-    keep = known[y, x]
-    if keep.sum() < 4 * NEIGHBOURS:
+    pixels, own = np.stack([x, y], -1).astype(float), camera.scaled_to(w, h)
+    rays = own.directions(pixels)
+    rays = divide(rays, rays[..., 2:])
+    keep = known[y, x] & np.isfinite(rays).all(-1)
+    if keep.sum() < PATCH**2:
         return None
-    pixels = np.stack([x[keep], y[keep]], -1).astype(float)
-    at = camera.scaled_to(w, h)
-    ray = at.directions(pixels)
-    z = depth_m[y[keep], x[keep]].astype(float)
-    points = ray * divide(z, ray[:, 2])[:, None]
-    distance, index = cKDTree(points).query(points, NEIGHBOURS, workers=-1)
-    near = points[index]
-    same = np.abs(near[..., 2] - z[:, None]) < JUMP * z[:, None]
-    weight = same / np.maximum(same.sum(1, keepdims=True), 1)
-    centred = near - (near * weight[..., None]).sum(1, keepdims=True)
-    spread = np.einsum("nki,nkj,nk->nij", centred, centred, weight)
-    value, axes = np.linalg.eigh(spread)
-    normals = axes[..., 0] * np.where(
-        (axes[..., 0] * points).sum(1, keepdims=True) > 0, -1, 1
-    )
-    misfit = np.sqrt(np.maximum(value[:, 0], 0))
-    trusted = same.mean(1) > 0.9
-    # what edges and clutter miss is no noise: the lower half of all
-    rate = (
-        float(
-            np.median(np.sort((misfit / z**2)[trusted])[: max(int(trusted.sum() * 0.6), 1)])
-        )
-        if trusted.any()
-        else 0.0
-    )
-    noise = np.maximum(1.5 * rate * z**2, LEAST_NOISE_M)
-    agree = np.abs(np.einsum("ni,nki->nk", normals, normals[index])) > np.cos(
-        np.radians(15)
-    )
+    near = np.where(keep, divide(1.0, depth_m[y, x]), 0.0)
+    patches, noise = _patches(np.where(keep[..., None], rays, 0.0), near)
+    z, grid = 1 / near[keep], np.full(keep.shape, -1)
+    grid[keep] = np.arange(len(z))
     return Cloud(
-        points,
-        normals,
-        normalise(points),
-        index,
-        noise,
-        (agree & same).mean(1),
-        distance[:, 1:5].mean(1),
-        pixels,
+        rays[keep] * z[:, None],
+        rays[keep],
+        np.maximum(noise * z**2, LEAST_NOISE_M),
+        step * z / own.fx,
+        pixels[keep],
+        grid,
+        patches,
     )
+
+
+def _patches(rays: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, float]:
+    """Planes (k, 3) through flat squares of the picture, and the standard deviation of 1 /
+    depth. rays (rows, columns, 3), near (rows, columns) : 1 / depth;  0 = not measured"""
+    whole = np.dstack([rays, near])
+    rows, columns = (side // PATCH for side in near.shape)
+    whole = whole[: rows * PATCH, : columns * PATCH].reshape(rows, PATCH, columns, PATCH, 4)
+    parts = whole.swapaxes(1, 2).reshape(-1, PATCH**2, 4)
+    count = (parts[..., 3] > 0).sum(1)
+    parts, count = parts[count > FULL * PATCH**2], count[count > FULL * PATCH**2]
+    a, b = parts[..., :3], parts[..., 3:]
+    planes = np.linalg.pinv(a) @ b
+    missed = np.sqrt(((a @ planes - b) ** 2).sum((1, 2)) / (count - 3))
+    middle = b.sum((1, 2)) / count
+    flat = missed < FLAT * middle
+    if not flat.any():
+        return np.zeros((0, 3)), 0.0
+    # what edges and clutter miss is no noise
+    noise = float(np.quantile(missed[flat], 0.2))
+    flat &= missed < 2 * np.maximum(noise, LEAST_NOISE_M * middle**2)
+    return planes[flat, :, 0], noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,123 +130,53 @@ class FoundPlane:
 
 def find_planes(cloud: Cloud) -> list[FoundPlane]:
     """The planes, that with the most points first; none where nothing is flat."""
-    rng = np.random.default_rng(0)
-    count = len(cloud.points)
-    free = np.ones(count, bool)
+    near = 1 / cloud.points[:, 2]
+    noise, least = cloud.noise_m * near**2, LEAST_FRACTION * len(near)
+    free, patches = np.ones(len(near), bool), cloud.patches
     out: list[FoundPlane] = []
-    while len(out) < MOST_PLANES:
-        seeds = np.flatnonzero(free & (cloud.flat >= FLAT))
-        if len(seeds) < LEAST_FRACTION * count:
+    while len(out) < MOST_PLANES and len(patches):
+        some = np.flatnonzero(free)[:: max(1, int(free.sum()) // SCORED)]
+        missed = np.abs(cloud.rays[some] @ patches.T - near[some, None])
+        votes = (missed < NEAR * noise[some, None]).sum(0)
+        plane, rows = patches[votes.argmax()], np.zeros(0, int)
+        for _ in range(ROUNDS):
+            off = (cloud.rays @ plane - near) / (NEAR * noise)
+            rows = _connected(cloud.grid, free & (np.abs(off) < 1))
+            if len(rows) < least:
+                break
+            weight = (1 - off[rows] ** 2) / noise[rows]
+            a, b = cloud.rays[rows] * weight[:, None], near[rows] * weight
+            plane = np.linalg.lstsq(a, b)[0]
+        if len(rows) < least:
             break
-        chosen = rng.choice(seeds, min(HYPOTHESES, len(seeds)), replace=False)
-        found = _refined(cloud, free, *_likeliest(cloud, free, chosen))
-        if found is None:
-            break
-        normal, offset, rows = found
-        free &= np.abs(cloud.points @ normal - offset) > TAKEN * cloud.noise_m
-        free[rows] = False
-        if len(rows) < LEAST_FRACTION * count:
-            break
-        out.append(FoundPlane(normal, offset, rows))
+        far = 1 / float(np.linalg.norm(plane))
+        out.append(FoundPlane(-plane * far, -far, rows))
+        free &= np.abs(cloud.rays @ plane - near) > TAKEN * noise
+        patches = patches[votes < votes.max()]
     return sorted(out, key=lambda p: -len(p.inliers))
 
 
-def _fit(points: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, float]:
-    """(normal towards the camera, offset) of the weighted least squares plane."""
-    centre = divide((points * weight[:, None]).sum(0), weight.sum())
-    d = points - centre
-    normal = np.linalg.eigh(np.einsum("ni,nj,n->ij", d, d, weight))[1][:, 0]
-    normal = -normal if normal @ centre > 0 else normal
-    return normal, float(normal @ centre)
+def _connected(grid: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """Of those points (n,) the largest part that hangs together in the picture, and those
+    parts that are not much smaller."""
+    mask = (grid >= 0) & there[grid]
+    wide = cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8))
+    part = cv2.connectedComponents(wide)[1]
+    size = np.bincount(part[mask], minlength=2)
+    return grid[mask & (size >= PART * size.max())[part]]
 
 
-def _on(cloud: Cloud, rows: np.ndarray, normal: np.ndarray, offset: float) -> np.ndarray:
-    """Those of the points `rows` that lie on a plane."""
-    points = cloud.points[rows]
-    # noise is along the ray: what of it is across the plane
-    slope = np.abs(cloud.rays[rows] @ normal)
-    near = np.abs(points @ normal - offset) < NEAR * np.maximum(
-        cloud.noise_m[rows] * slope, 5e-4
-    )
-    return np.asarray(rows[near & (np.abs(cloud.normals[rows] @ normal) > FACING)])
+class Seen(NamedTuple):
+    """What was seen of a plane, its own axes. extent_m (4,) : x0, y0, x1, y1
+    middle_m (2,) : the place nearest the mean that is well inside: as far from the rim as 60 %
+    of what any place is"""
+
+    area_m2: float
+    extent_m: np.ndarray
+    middle_m: np.ndarray
 
 
-def _likeliest(
-    cloud: Cloud, free: np.ndarray, seeds: np.ndarray
-) -> tuple[np.ndarray, float]:
-    """Of planes by the neighbours of the seeds that with the most points."""
-    sparse = np.flatnonzero(free)
-    sparse = sparse[:: max(1, len(sparse) // SCORED)]
-    near = cloud.points[cloud.neighbours[seeds]]
-    hypotheses = [_fit(points, np.ones(len(points))) for points in near]
-    return max(hypotheses, key=lambda plane: len(_on(cloud, sparse, *plane)))
-
-
-def _refined(
-    cloud: Cloud, free: np.ndarray, normal: np.ndarray, offset: float
-) -> tuple[np.ndarray, float, np.ndarray] | None:
-    rows = np.zeros(0, int)
-    for _ in range(12):
-        rows = _connected(cloud, _on(cloud, np.flatnonzero(free), normal, offset))
-        if len(rows) < 8:
-            return None
-        off = (cloud.points[rows] @ normal - offset) / (NEAR * cloud.noise_m[rows])
-        biweight = np.clip(1 - off**2, 0, None) ** 2
-        normal, offset = _fit(cloud.points[rows], biweight * cloud.noise_m[rows] ** -2)
-    return normal, offset, rows
-
-
-def _connected(cloud: Cloud, rows: np.ndarray) -> np.ndarray:
-    """The largest connected part of these points, and those parts that are not much smaller."""
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    if not len(rows):
-        return rows
-    count, near = cloud.neighbours.shape
-    ends = np.arange(0, count * near + 1, near)
-    graph = csr_matrix((np.ones(ends[-1]), cloud.neighbours.ravel(), ends), (count, count))
-    part = connected_components(graph[rows][:, rows], directed=False)[1]
-    size = np.bincount(part)
-    return np.asarray(rows[size[part] >= PART * size.max()])
-
-
-@dataclass(frozen=True, eq=False)
-class PlaneMask:
-    """Cells of a plane, its own axes.
-
-    mask (rows, columns) bool : what was seen;  low_m (2,) : x, y of the first cell's corner
-    """
-
-    mask: np.ndarray
-    low_m: np.ndarray
-    cell_m: float
-
-    @property
-    def area_m2(self) -> float:
-        return float(self.mask.sum() * self.cell_m**2)
-
-    @property
-    def extent_m(self) -> np.ndarray:
-        """(4,) x0, y0, x1, y1"""
-        at = np.argwhere(self.mask)[:, ::-1]
-        return np.tile(self.low_m, 2) + self.cell_m * np.append(at.min(0), at.max(0) + 1)
-
-    @property
-    def middle_m(self) -> np.ndarray:
-        """(2,) the place nearest the cells' mean that is well inside: as far from the rim
-        as 60 % of what any place is.
-        """
-        room = cv2.distanceTransform(np.pad(self.mask, 1).astype(np.uint8), cv2.DIST_L2, 5)[
-            1:-1, 1:-1
-        ]
-        inside = np.argwhere(room >= 0.6 * room.max())
-        seen = np.argwhere(self.mask)
-        at = inside[((inside - seen.mean(0)) ** 2).sum(1).argmin()]
-        return np.asarray(self.low_m + (at[::-1] + 0.5) * self.cell_m)
-
-
-def mask_of(positions_m: np.ndarray, spacing_m: np.ndarray) -> PlaneMask:
+def seen_of(positions_m: np.ndarray, spacing_m: np.ndarray) -> Seen:
     """positions_m (n, 2) : points moved onto the plane, its axes;  spacing_m (n,) :
     distance of neighbouring points there
     """
@@ -270,8 +190,17 @@ def mask_of(positions_m: np.ndarray, spacing_m: np.ndarray) -> PlaneMask:
     count[y, x] = 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * pad - 1, 2 * pad - 1))
     mask = cv2.morphologyEx(count, cv2.MORPH_CLOSE, disc)
-    smooth = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), _RIM) > 0.5
-    return PlaneMask(smooth if smooth.any() else mask > 0, low - pad * cell, cell)
+    smooth = (cv2.GaussianBlur(mask.astype(np.float32), (0, 0), _RIM) > 0.5).astype(
+        np.uint8
+    )
+    mask = smooth if smooth.any() else mask
+    room = cv2.distanceTransform(mask, cv2.DIST_L2, 5)
+    cells, inside = (np.argwhere(c)[:, ::-1] for c in (mask, room >= 0.6 * room.max()))
+    middle = inside[((inside - cells.mean(0)) ** 2).sum(1).argmin()] + 0.5
+    extent = np.append(cells.min(0), cells.max(0) + 1)
+    first = low - pad * cell
+    area = len(cells) * cell**2
+    return Seen(area, np.tile(first, 2) + cell * extent, first + cell * middle)
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,7 +228,7 @@ class ScenePlane:
         x = normalise(self.right - (self.right @ self.normal) * self.normal)
         axes = np.stack([x, np.cross(self.normal, x), self.normal], 1)
         positions = self.points @ axes
-        seen = mask_of(positions[:, :2], self.spacing_m)
+        seen = seen_of(positions[:, :2], self.spacing_m)
         height, middle = self.offset_m, seen.middle_m
         pose = Pose(axes, axes @ np.array([middle[0], middle[1], height]))
         residual_mm = 1e3 * float(np.sqrt(((positions[:, 2] - height) ** 2).mean()))
@@ -340,7 +269,7 @@ def scene_planes(
         for found in find_planes(cloud):
             rows = found.inliers
             at = cloud.pixels[rows]
-            cosine = np.abs(cloud.rays[rows] @ found.normal)
+            cosine = np.abs(normalise(cloud.rays[rows]) @ found.normal)
             plane = ScenePlane(
                 world_from_camera.rotation @ found.normal,
                 world_from_camera.apply(cloud.points[rows]),
@@ -358,20 +287,19 @@ def _join(planes: list[ScenePlane], new: ScenePlane) -> None:
     """Add `new`, or make it part of one that is already there."""
     for k, old in enumerate(planes):
         near = SAME_M + SAME_NOISES * max(old.noise_m, new.noise_m)
-        gap = max(
-            abs(float(a.points.mean(0) @ b.normal) - b.offset_m)
-            for a, b in ((new, old), (old, new))
-        )
+        apart = old.points.mean(0) - new.points.mean(0)
+        gap = max(abs(apart @ old.normal), abs(apart @ new.normal))
         if old.normal @ new.normal > np.cos(np.radians(SAME_DEG)) and gap < near:
-            points, spacing, cut = (
-                np.concatenate([getattr(p, name) for p in (old, new)])
-                for name in ("points", "spacing_m", "cut")
+            share = len(old.points) / (len(old.points) + len(new.points))
+            planes[k] = ScenePlane(
+                normalise(share * old.normal + (1 - share) * new.normal),
+                np.concatenate([old.points, new.points]),
+                np.concatenate([old.spacing_m, new.spacing_m]),
+                np.concatenate([old.cut, new.cut]),
+                old.right,
+                share * old.noise_m + (1 - share) * new.noise_m,
+                old.frames + new.frames,
             )
-            fraction = len(old.points) / len(points)
-            normal = normalise(fraction * old.normal + (1 - fraction) * new.normal)
-            noise_m = fraction * old.noise_m + (1 - fraction) * new.noise_m
-            frames = old.frames + new.frames
-            planes[k] = ScenePlane(normal, points, spacing, cut, old.right, noise_m, frames)
             return
     planes.append(new)
 

@@ -91,31 +91,23 @@ def print_ratios(
     if pose is None or facts.status != MEASURED:
         return np.zeros(0)
     h, w = depth_m.shape
-    out = []
+    own, scale, out = camera.scaled_to(w, h), [w / camera.width, h / camera.height], []
     for seen in facts.markers:
         if seen.key not in world_from_marker:
             continue
         corners = np.asarray(seen.corners_px, float)
         middle = corners.mean(0)
-        inner = (middle + _INNER * (corners - middle) + 0.5) * [
-            w / camera.width,
-            h / camera.height,
-        ] - 0.5
+        inner = (middle + _INNER * (corners - middle) + 0.5) * scale - 0.5
         mask = np.zeros((h, w), np.uint8)
         cv2.fillConvexPoly(mask, np.rint(inner).astype(np.int32), (1,))
         y, x = np.nonzero((mask > 0) & (depth_m > 0))
         if len(y) < FEWEST_PX:
             continue
         here = pose @ world_from_marker[seen.key]
-        normal, height = (
-            here.rotation[:, 2],
-            float(here.rotation[:, 2] @ here.translation_m),
-        )
-        pixels = (np.stack([x, y], -1) + 0.5) * [camera.width / w, camera.height / h] - 0.5
-        known = divide(
-            height, camera.directions(pixels) @ normal
-        )  # the plane's z along each pixel's ray
-        ratio = divide(known, depth_m[y, x])
+        normal = here.rotation[:, 2]
+        rays = own.directions(np.stack([x, y], -1).astype(float))
+        # the plane's z along each pixel's ray, over the measured one
+        ratio = divide(normal @ here.translation_m, rays @ normal * depth_m[y, x])
         out.append(ratio[ratio > 0])
     return np.concatenate(out) if out else np.zeros(0)
 

@@ -103,30 +103,32 @@ def refine_corners(
     the bend of the sides
     The result depends on the image around the quads only, never on how they were found."""
     start = np.array(quads_px, float).reshape(-1, 4, 2)
-    n = len(start)
-    cell = _cell_px(start, np.reshape(cells, n))
+    sensible = (np.abs(start) < MOST_PX).all((1, 2)) & (min(luma.shape) > 1)
+    near = np.where(sensible[:, None, None], start, 0.0)
+    cell = cell_px(near, cells)
     half = np.clip(0.6 * cell, *HALF_PX)
     reach = np.clip(0.6 * cell, half, REACH_PX)
-    bend = _bend(start, camera)
-    quad, sigma, refined = start.copy(), np.ones(n), np.zeros(n, bool)
-    blur, skew, inverted = np.full(n, np.nan), np.full(n, np.nan), np.zeros(n, bool)
-    sensible = (np.abs(start) < MOST_PX).all((1, 2)) & (min(luma.shape) > 1)
-    far = sensible & (reach > half).any(1)
-    for rows, reaches in ((sensible, (half, half)), (far, (reach, half, half))):
-        rows = np.flatnonzero(rows & ~refined)
-        if not len(rows):
-            continue
-        here = [r[rows] for r in reaches]
-        edges = find_edges(luma, table, start[rows], bend[rows], half[rows], here)
-        ok = _clear(start[rows], edges, half[rows], here[0])
-        inverted[rows] = edges.inverted
-        rows, edges = rows[ok], edges[ok]
-        refined[rows], quad[rows], blur[rows] = True, edges.quad, edges.blur
-        skew[rows] = edges.skew
-        # a corner is where two lines meet, each known at its end to about twice the error of
-        # its mean
-        sigma[rows] = np.maximum(2.0 * edges.spread / np.sqrt(SAMPLES), 0.01)
-    return Corners(quad, sigma, blur, inverted, refined, skew)
+    bend = _bend(near, camera)
+    edges = find_edges(luma, table, near, bend, half, (half, half))
+    ok = _clear(near, edges, half, half)
+    far = ~ok & sensible & (reach > half).any(1)
+    if far.any():
+        here, least, most = near[far], half[far], reach[far]
+        again = find_edges(luma, table, here, bend[far], least, (most, least, least))
+        for every, those in zip(edges, again, strict=True):
+            every[far] = those
+        ok[far] = _clear(here, again, least, most)
+    # a corner is where two lines meet, each known at its end to about twice the error of its
+    # mean
+    sigma = np.maximum(2.0 * edges.spread / np.sqrt(SAMPLES), 0.01)
+    return Corners(
+        np.where(ok[:, None, None], edges.quad, start),
+        np.where(ok, sigma, 1.0),
+        np.where(ok, edges.blur, np.nan),
+        edges.inverted,
+        ok,
+        np.where(ok, edges.skew, np.nan),
+    )
 
 
 def shared_px(corners_px: np.ndarray, blur_px: np.ndarray, cells: np.ndarray) -> np.ndarray:
@@ -146,7 +148,7 @@ def shared_px(corners_px: np.ndarray, blur_px: np.ndarray, cells: np.ndarray) ->
             side[..., 0] * y - side[..., 1] * x
         )  # rows of pixels along (x, y): 1 / |(x, y)| apart
         shared += 1.0 / ((x * x + y * y) * (1.0 + (crossed / 1.2) ** 4) ** 2)
-    cell, blur = _cell_px(corners_px, cells), np.asarray(blur_px)[:, None]
+    cell, blur = cell_px(corners_px, cells), np.asarray(blur_px)[:, None]
     window = np.clip(WINDOW_FRACTION * np.clip(0.6 * cell, *HALF_PX), *WINDOW_PX)
     step = np.minimum(
         np.interp(blur, _STEP_BLUR_PX, _STEP_PX) * (WINDOW_PX[1] / window) ** 2,
@@ -160,7 +162,7 @@ def shared_px(corners_px: np.ndarray, blur_px: np.ndarray, cells: np.ndarray) ->
     )
 
 
-def _cell_px(quad: np.ndarray, cells: np.ndarray) -> np.ndarray:
+def cell_px(quad: np.ndarray, cells: np.ndarray) -> np.ndarray:
     """(n, 4) px from each side of quads (n, 4, 2) to the next line of cells; cells : (n,)
     along a side.
     """
@@ -171,7 +173,7 @@ def _cell_px(quad: np.ndarray, cells: np.ndarray) -> np.ndarray:
     deep = divide(2 * area[:, None], length + opposite) * np.minimum(
         divide(length, opposite, where_zero=1.0), 1.0
     )
-    return np.asarray(deep / np.asarray(cells, float)[:, None])
+    return np.asarray(deep / np.reshape(cells, (-1, 1)))
 
 
 def _clear(

@@ -10,7 +10,7 @@ Source: docs/methods/pose.md#corners."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -28,8 +28,7 @@ _LINE = np.stack([1 - FRACTIONS, FRACTIONS])  # of a line's values at its ends
 _PRODUCTS = (_LINE.T[:, :, None] * _LINE.T[:, None]).reshape(SAMPLES, 4)
 _RIDGE = 1e-9 * np.eye(2)
 _NEXT, _BEFORE = [1, 2, 3, 0], [3, 0, 1, 2]  # of the corners, clockwise
-_ALONG = np.linspace(-1, 1, STEPS)
-_MIDDLES = (_ALONG[1:] + _ALONG[:-1]) / 2
+_MIDDLES = (np.arange(1, STEPS) - STEPS / 2) / (STEPS / 2 - 0.5)
 # A normal on which the edge is fainter than so much of the side's (its upper quartile)
 # meets something that covers the print.
 _THERE = 0.5
@@ -47,8 +46,7 @@ WINDOW_FRACTION = 0.4  # of what is looked at to one side, between those two
 _REMAP_STEPS = 32  # OpenCV reads between pixels at so many places per px
 
 
-@dataclass(frozen=True, eq=False)
-class Edges:
+class Edges(NamedTuple):
     """Of n quads. quad : (n, 4, 2) px, the lines' corners; not finite where two are parallel
 
     gain : (n,) light of 255 that falls across the faintest side;  spread : (n,) px along a
@@ -61,9 +59,6 @@ class Edges:
     blur: np.ndarray
     skew: np.ndarray
     inverted: np.ndarray
-
-    def __getitem__(self, rows: np.ndarray) -> Edges:
-        return Edges(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
 def find_edges(
@@ -80,13 +75,13 @@ def find_edges(
     bend : (n, 4, SAMPLES, 2) px off the chord;  half : (n, 4) px, as of which the window is
     reaches : (n, 4) px to either side of an edge, each time that it is sampled"""
     margins = 3 * np.max(reaches, axis=(0, 2))
-    lights = [_Light(luma, table, *of) for of in zip(start, margins, strict=True)]
+    lights = [Light(luma, table, *of) for of in zip(start, margins, strict=True)]
     corners, off_chord = (a[..., 0] + 1j * a[..., 1] for a in (start, bend))
     least = np.clip(WINDOW_FRACTION * half, *WINDOW_PX)
     weight = there = np.ones((*half.shape, SAMPLES))
     with np.errstate(all="ignore"):  # what is not finite is no edge
         for first, far in enumerate(reaches):
-            fall, place = _profiles(lights, corners, off_chord, far)
+            fall, place = profiles(lights, corners, off_chord, far)
             inverted = fall.sum((1, 2, 3)) < 0
             fall[inverted] *= -1
             mean = np.einsum("ijst,ijs->ijt", fall, there)
@@ -117,7 +112,7 @@ def find_edges(
     return Edges(quad, clear.min(1), spread, blur, skew, inverted)
 
 
-class _Light:
+class Light:
     """Linear light around a quad. origin : px of its first pixel"""
 
     def __init__(
@@ -136,22 +131,28 @@ class _Light:
         return cv2.remap(self.values, xy.real, xy.imag, cv2.INTER_LINEAR, borderMode=border)
 
 
-def _profiles(
-    lights: Sequence[_Light], corners: np.ndarray, off_chord: np.ndarray, far: np.ndarray
+def profiles(
+    lights: Sequence[Light],
+    corners: np.ndarray,
+    off_chord: np.ndarray,
+    far: np.ndarray,
+    steps: int = STEPS,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(n, 4, SAMPLES, STEPS - 1) how much darker it gets from sample to sample, inwards; and
-    where, px from the chord."""
+    """(n, 4, SAMPLES, steps - 1) how much darker it gets from sample to sample, inwards; and
+    where, px from the chord.
+
+    corners (n, 4), off_chord (n, 4, SAMPLES) : px;  far (n, 4) : px to either side"""
     chord = corners[:, _NEXT] - corners
     inwards = (1j * chord / np.abs(chord)).astype(np.complex64)[..., None, None]
     foot = corners[..., None] + FRACTIONS * chord[..., None] + off_chord
-    along = (far[..., None] * _ALONG).astype(np.float32)[:, :, None]
+    along = (far[..., None] * np.linspace(-1, 1, steps)).astype(np.float32)[:, :, None]
     wanted = foot.astype(np.complex64)[..., None] + along * inwards
     exact = np.round(wanted * _REMAP_STEPS) / _REMAP_STEPS
     along = along + ((exact - wanted) * inwards.conj()).real
     exact[~np.isfinite(exact)] = 0  # of a quad of which nothing will come
-    exact = exact.reshape(len(lights), -1, STEPS)
-    light = np.stack([one.sampled(at) for one, at in zip(lights, exact, strict=True)])
-    light = light.reshape(along.shape)
+    exact = exact.reshape(len(lights), 4 * SAMPLES, steps)
+    seen = [one.sampled(at) for one, at in zip(lights, exact, strict=True)]
+    light = np.reshape(seen, along.shape)
     return light[..., :-1] - light[..., 1:], (along[..., :-1] + along[..., 1:]) / 2
 
 

@@ -20,7 +20,7 @@ _LEAST_CONTRAST = 0.4  # of the usual one: fainter, one of the two cells is cove
 LEAST_LINES = 12
 # three deviations of a corner, each three of the mean of the lines: it lies outside of them
 _DOUBT = 9.0
-_RIDGE = 1e-6 * np.eye(3)
+_RIDGE = 1e-6 * np.eye(6)
 AGREE_CELLS = 0.05  # what the camera makes of edges moves lines by less
 
 
@@ -82,21 +82,20 @@ def misplaced_px(
     off = -level * 2 * _ACROSS[-1]
     plane = np.concatenate([np.ones((len(off), 1)), middle / cells - 0.5], 1)
     ends = np.concatenate([np.ones((4, 1)), square / cells - 0.5], 1)
-    shift, doubt = np.zeros((4, 2)), 0.0
-    for axis in (0, 1):
-        mine = clear & (normal[:, axis] != 0)
-        if mine.sum() < LEAST_LINES // 3:
-            return 0.0
-        signed, p = off[mine] * normal[mine, axis], plane[mine]
-        weight = np.ones(len(signed))
-        for _ in range(3):  # what covers cells moves their lines too
-            weighted = p.T * weight
-            fit = np.linalg.solve(weighted @ p + _RIDGE, weighted @ signed)
-            weight = 1 / (1 + np.abs(signed - p @ fit) / 0.05) ** 2
-        shift[:, axis] = ends @ fit
-        scatter = 1.4826 * float(np.median(np.abs(signed - p @ fit)))
-        doubt = max(doubt, _DOUBT * scatter / np.sqrt(mine.sum()))
-    if np.abs(shift).max() < max(AGREE_CELLS, doubt):
+    off, normal = off[clear], normal[clear]
+    if np.abs(normal).sum(0).min() < LEAST_LINES // 3:
+        return 0.0
+    # a plane for what lies off along the rows, and one along the columns
+    design = (normal[:, :, None] * plane[clear][:, None]).reshape(-1, 6)
+    weight = np.ones(len(off))
+    for _ in range(3):  # what covers cells moves their lines too
+        weighted = design.T * weight
+        fit = np.linalg.solve(weighted @ design + _RIDGE, weighted @ off)
+        missed = np.abs(off - design @ fit)
+        weight = 1 / (1 + missed / 0.05) ** 2
+    shift = ends @ fit.reshape(2, 3).T
+    scatter = 1.4826 * float(np.median(missed))
+    if np.abs(shift).max() < max(AGREE_CELLS, _DOUBT * scatter / np.sqrt(len(off) / 2)):
         return 0.0
     away = cv2.perspectiveTransform((square + shift)[None], h)[0] - corners_px
     return float(np.sqrt((away**2).sum(1).mean() / 2))

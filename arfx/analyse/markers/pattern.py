@@ -14,14 +14,14 @@ Source: docs/methods/pose.md#patterns. Cost (two threads): `align` 5 to 12 ms, `
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from arfx.analyse.markers.texture import even_contrast, follow
-from arfx.core.camera import Camera
+from arfx.core.camera import FISHEYE, Camera
 from arfx.core.colour import SRGB
 from arfx.core.numerics import divide
 from arfx.core.rect import Rect
@@ -31,7 +31,8 @@ BASE_PX, LEVEL = 512, 0.5**0.5  # longest side of the finest level; ratio of one
 LEAST_LEVEL_PX = 32  # longest side of the coarsest level
 LEAST_PICTURE_PX = 64  # shorter side of a picture that can be used
 LEAST_SIDE_PX = 20.0  # of the print in the frame: smaller ones tell no pose
-FEATURES, LEAST_FEATURES, FRAME_FEATURES = 250, 40, 1200
+FEATURES, FRAME_FEATURES = 250, 1200  # at most, of one view of the picture, and of a frame
+LEAST_FEATURES = 100  # of the picture in all views
 RATIO = 0.8  # nearest over second nearest descriptor
 LEAST_MATCHES, LEAST_POINTS = 8, 12
 MOST_SIGMA_PX = 2.0  # of the print's corners
@@ -40,34 +41,18 @@ SHARE = 0.3  # of the corners in view that must agree
 _FAINT = 0.02
 _POINTS, _MARGIN_PX = 160, 7
 _REACH = 3  # further halvings of the images for a homography that is only about right
-_BLURRED, _SHARED = (
-    2,
-    2.0,
-)  # levels coarser; factor on the deviation there: neighbouring corners err alike under blur
+# levels coarser; factor on the deviation there: neighbouring corners err alike under blur
+_BLURRED, _SHARED = 2, 2.0
 _RETURN_PX, _AGREE_PX = 0.7, 2.0  # there and back; and to a homography at first
 _CORNERS = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])  # order of MarkerSpec.corners_m
-# Scale, direction and factor of foreshortening of the views whose features are matched.
-_VIEWS = (
-    (1.0, 0.0, 1.0),
-    (0.5, 0.0, 1.0),
-    (0.25, 0.0, 1.0),
-    *((0.7, a, 0.5) for a in (0.0, 45.0, 90.0, 135.0)),
-)
-_TURNS = (
-    180,
-    120,
-    90,
-    72,
-)  # degrees: prints are square, or logos of up to six-fold symmetry; 270 is 90 seen from the other
-_AGREEING, _SAME = (
-    0.5,
-    0.7,
-)  # share of corners; correlation of the even pictures: 0.66 where half of a print tells its turn
+_SCALES = (0.7, 0.35, 0.18)  # of the picture whose features are matched
+# degrees: prints are square, or logos of up to six-fold symmetry; 270 is 90 seen from the other
+_TURNS = (180, 120, 90, 72)
+_SAME = 0.7  # share of corners: .5 where half of a print tells its turn
 _STEP = 1e-4  # of a homography's numbers, for its derivative
 _WORN = 4.0  # deviations at which a point counts half
 _ALIKE = 1.5  # corners whose windows overlap err alike: factor on the deviation of a fit
 _LEAST_PX = 1e-4  # of residuals: no corner is followed better
-_NODE_PX = 8  # between points for which lens distortion is computed
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,22 +100,17 @@ class PatternPicture:
                 f"a picture of at least {LEAST_PICTURE_PX} pixels each way",
             )
         self.name = name
-        self.levels: list[Level] = []
         side = float(min(BASE_PX, max(h, w)))
-        base = luma
+        images = list[np.ndarray]()
         while side >= LEAST_LEVEL_PX:
-            size = max(round(w * side / max(h, w)), 8), max(round(h * side / max(h, w)), 8)
-            small = cv2.resize(luma, size, interpolation=cv2.INTER_AREA)
-            base = small if not self.levels else base
-            self.levels.append(_level(small))
+            size = [max(round(length * side / max(h, w)), 8) for length in (w, h)]
+            images.append(cv2.resize(luma, size, interpolation=cv2.INTER_AREA))
             side *= LEVEL
-        views = [_described(base, view) for view in _VIEWS]
-        self._units, self._descriptors = (
-            np.concatenate(part) for part in zip(*views, strict=True)
-        )
-        if len(views[0][0]) < LEAST_FEATURES:
+        self.levels = [_level(image) for image in images]
+        self._units, self._descriptors = _described(images[0])
+        if len(self._units) < LEAST_FEATURES:
             raise InputError(
-                f"pattern {name} is too plain: {len(views[0][0])} features, at least"
+                f"pattern {name} is too plain: {len(self._units)} features, at least"
                 f" {LEAST_FEATURES} are needed",
                 "a picture with detail all over it",
             )
@@ -139,61 +119,44 @@ class PatternPicture:
         """ideal_from_unit by matching features, right to some pixels; None where too few agree."""
         if len(features.descriptors) < LEAST_MATCHES:
             return None
-        pairs = cv2.BFMatcher(cv2.NORM_L2).knnMatch(
-            self._descriptors, features.descriptors, 2
-        )
-        good = [
-            m
-            for m, second in (p for p in pairs if len(p) == 2)
-            if m.distance < RATIO * second.distance
-        ]
-        if len(good) < LEAST_MATCHES:
-            return None
-        unit = self._units[[m.queryIdx for m in good]]
+        matches = cv2.BFMatcher(cv2.NORM_L2)
+        pairs = matches.knnMatch(self._descriptors, features.descriptors, 2)
+        good = [m for m, second in pairs if m.distance < RATIO * second.distance]
         ideal = camera.normalised(features.pixels[[m.trainIdx for m in good]])
         known = np.isfinite(ideal).all(1)
         if known.sum() < LEAST_MATCHES:
             return None
         # in pixels: USAC fails on numbers of the size of its thresholds' rounding
-        unit, px = unit[known] * BASE_PX, ideal[known] * camera.fx
+        unit = self._units[[m.queryIdx for m in good]][known] * BASE_PX
+        px = ideal[known] * camera.fx
         h, inside = cv2.findHomography(
             unit, px, cv2.USAC_MAGSAC, 3 * features.px, maxIters=5000
         )
         if h is None or int(inside.sum()) < LEAST_MATCHES:
             return None
-        return (
-            np.diag([1 / camera.fx, 1 / camera.fx, 1.0])
-            @ h
-            @ np.diag([BASE_PX, BASE_PX, 1.0])
-        )
+        pixel, base = 1 / camera.fx, float(BASE_PX)
+        return np.diag([pixel, pixel, 1.0]) @ h @ np.diag([base, base, 1.0])
 
     def align(
         self, luma: np.ndarray, camera: Camera, ideal_from_unit: np.ndarray
     ) -> Alignment | None:
-        """The print where it is, from where it is about; None where it is not there."""
-        for level, factor in zip(
-            self._levels_for(camera, ideal_from_unit), (1.0, _SHARED), strict=False
-        ):
+        """The print where it is, from where it is about; None where it is not there.
+
+        By the coarsest level that is hardly coarser than the print in the frame; where the
+        print is blurred, by one of half its size."""
+        quad = _pixels(camera, ideal_from_unit, _CORNERS)
+        if not plausible(quad):
+            return None
+        side = 0.9 * float(np.linalg.norm(quad - np.roll(quad, -1, 0), axis=1).max())
+        finest = sum(max(level.even.shape) >= side for level in self.levels)
+        levels = self.levels[max(finest - 1, 0) :: _BLURRED]
+        for level, factor in zip(levels, (1.0, _SHARED), strict=False):
             near = _match(level, luma, camera, ideal_from_unit, _REACH)
             exact = near and _match(level, luma, camera, near.ideal_from_unit, 0)
             there = exact and _aligned(exact, camera)
             if there and factor * there.sigma_px <= MOST_SIGMA_PX:
                 return replace(there, sigma_px=factor * there.sigma_px)
         return None
-
-    def _levels_for(self, camera: Camera, ideal_from_unit: np.ndarray) -> Sequence[Level]:
-        """The coarsest level that is hardly coarser than the print in the frame, and one of
-        half its size, where the print is blurred; none for a quad that no print can
-        show."""
-        quad = _pixels(camera, ideal_from_unit, _CORNERS)
-        if not plausible(quad):
-            return ()
-        side = float(np.linalg.norm(quad - np.roll(quad, -1, 0), axis=1).max())
-        finest = max(
-            (i for i, k in enumerate(self.levels) if max(k.even.shape) >= 0.9 * side),
-            default=0,
-        )
-        return self.levels[finest::_BLURRED][:2]
 
 
 def check_turned(name: str, luma: np.ndarray) -> None:
@@ -214,18 +177,7 @@ def check_turned(name: str, luma: np.ndarray) -> None:
         m = cv2.getRotationMatrix2D(((w - 1) / 2, (h - 1) / 2), degrees, 1)
         turned = cv2.warpAffine(luma, m, (w, h), borderMode=cv2.BORDER_REPLICATE)
         there = picture.align(turned, camera, ideal_from_unit)
-        if there is None or there.share < _AGREEING:
-            continue
-        seen = _cut_out(
-            turned,
-            camera,
-            there.ideal_from_unit @ picture.levels[0].unit_from_level,
-            (w, h),
-        )
-        if (
-            np.corrcoef(picture.levels[0].even.ravel(), even_contrast(seen).ravel())[0, 1]
-            >= _SAME
-        ):
+        if there is not None and there.share >= _SAME:
             raise ConfigError(
                 f"pattern {name} looks the same when it is turned by {degrees} degrees: its"
                 " pose would be a guess",
@@ -251,53 +203,35 @@ def frame_features(luma: np.ndarray, most_px: float) -> Features:
     scale = max(float(np.sqrt(h * w / most_px)), 1.0)
     size = max(round(w / scale), 1), max(round(h / scale), 1)
     small = luma if scale == 1 else cv2.resize(luma, size, interpolation=cv2.INTER_AREA)
-    at, descriptors = _sift(small, FRAME_FEATURES)
+    at, descriptors = _found(_sift(FRAME_FEATURES), small)
     return Features((at + 0.5) * [w / size[0], h / size[1]] - 0.5, descriptors, scale)
 
 
-def _sift(image: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+def _sift(most: int) -> cv2.Feature2D:
+    return cv2.SIFT.create(most, contrastThreshold=_FAINT)
+
+
+def _found(finder: cv2.Feature2D, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(places (n, 2) px, descriptors (n, 128)) of an image's features."""
-    keypoints, descriptors = cv2.SIFT.create(
-        most, contrastThreshold=_FAINT
-    ).detectAndCompute(image, None)
+    keypoints, descriptors = finder.detectAndCompute(image, None)
     if descriptors is None:
         return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
     return np.array([k.pt for k in keypoints]), descriptors
 
 
-def _described(
-    image: np.ndarray, view: tuple[float, float, float]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Features of the picture as it is seen from elsewhere: (units (n, 2), descriptors (n, 128)).
-
-    view : scale; and direction (degrees) along which it is foreshortened by the factor that
-    comes last
-    """
-    h, w = image.shape
-    scale, direction, squeeze = view
-    c, s = np.cos(np.radians(direction)), np.sin(np.radians(direction))
-    turn = np.array([[c, s], [-s, c]])
-    m = scale * (turn.T @ np.diag([squeeze, 1.0]) @ turn)
-    corners = (np.array([[0, 0], [w, 0], [w, h], [0, h]]) - 0.5) @ m.T
-    low, high = corners.min(0), corners.max(0)
-    size = np.maximum(np.ceil(high - low), 8).astype(int)
-    affine = np.concatenate([m, -low[:, None] - 0.5], 1)
-    shrink = 1 / (
-        scale * scale * squeeze
-    )  # in area; what is finer than a pixel is blurred away before
-    soft = (
-        image
-        if shrink <= 1
-        else cv2.GaussianBlur(image, (0, 0), 0.5 * float(np.sqrt(shrink - 1)))
-    )
-    seen = cv2.warpAffine(
-        soft, affine, tuple(size.tolist()), borderMode=cv2.BORDER_REPLICATE
-    )
-    at, descriptors = _sift(seen, FEATURES)
-    at = (at - affine[:, 2]) @ np.linalg.inv(m).T
-    units = (at + 0.5) / [w, h]
-    inside = ((units > 0) & (units < 1)).all(1)
-    return units[inside], descriptors[inside]
+def _described(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Features of the picture as it is seen from near and far, straight and foreshortened to
+    one half (Morel and Yu 2009): (units (n, 2), descriptors (n, 128))."""
+    finder = cv2.AffineFeature.create(_sift(FEATURES), 1, 0, 2.0, 90.0)
+    units, descriptors = [], []
+    for scale in _SCALES:
+        small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        at, those = _found(finder, small)
+        unit = (at + 0.5) / small.shape[::-1]
+        inside = ((unit > 0) & (unit < 1)).all(1)
+        units.append(unit[inside])
+        descriptors.append(those[inside])
+    return np.concatenate(units), np.concatenate(descriptors)
 
 
 def plausible(quad: np.ndarray) -> bool:
@@ -355,6 +289,8 @@ def _cut_out(
     """The frame as the picture is seen: (h, w) uint8 of size (w, h)."""
     w, h = size
     corners = _pixels(camera, ideal_from_level, _CORNERS * [w, h] - 0.5)
+    if not plausible(corners):
+        return np.zeros((h, w), np.uint8)
     side = float(np.linalg.norm(corners - np.roll(corners, -1, 0), axis=1).max())
     k = max(int(side / max(size)), 1)  # the frame may be finer than the finest level
     part = Rect.around(corners, 2.0 * k).clip(Rect.of(luma.shape[1], luma.shape[0]))
@@ -363,116 +299,96 @@ def _cut_out(
         return np.zeros((h, w), np.uint8)
     luma = luma[part.y0 : part.y0 + rows * k, part.x0 : part.x0 + columns * k]
     luma = cv2.resize(luma, (columns, rows), interpolation=cv2.INTER_AREA)
-    nodes = [(np.arange(-1, n // _NODE_PX + 2) + 0.5) * _NODE_PX - 0.5 for n in size]
-    grid = np.stack(np.meshgrid(*nodes), -1)
-    at = _pixels(camera, ideal_from_level, grid.reshape(-1, 2)).reshape(grid.shape)
-    at = np.where(np.isfinite(at), (at - [part.x0, part.y0] + 0.5) / k - 0.5, -1e4).astype(
-        np.float32
-    )
-    many = (grid.shape[1] * _NODE_PX, grid.shape[0] * _NODE_PX)
-    full = cv2.resize(at, many, interpolation=cv2.INTER_LINEAR)
-    x, y = cv2.split(full[_NODE_PX : _NODE_PX + h, _NODE_PX : _NODE_PX + w])
+    own = camera.matrix.copy()
+    own[:2, :2] /= k
+    own[:2, 2] = (own[:2, 2] - [part.x0, part.y0] + 0.5) / k - 0.5
+    fisheye = camera.model == FISHEYE
+    maps = cv2.fisheye.initUndistortRectifyMap if fisheye else cv2.initUndistortRectifyMap
+    level_from_ideal = np.linalg.inv(ideal_from_level)
+    x, y = maps(own, camera.distortion, level_from_ideal, np.eye(3), size, cv2.CV_32FC1)
     return cv2.remap(luma, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
-@dataclass(frozen=True, eq=False)
-class _Match:
+class _Match(NamedTuple):
     """Corners of the picture that were followed into the frame and back.
 
     ideal_from_level : where the frame was cut out;  level_from_unit : where the corners have
-    the print in the cut-out
+    the print in the cut-out;  ideal_from_unit : both
     units, moved : (n, 2) of the print, and px of the cut-out;  agree : (n,) on a homography
-    share : of the corners in view that agree
-    """
+    share : of the corners in view that agree"""
 
     ideal_from_level: np.ndarray
     level_from_unit: np.ndarray
+    ideal_from_unit: np.ndarray
     units: np.ndarray
     moved: np.ndarray
     agree: np.ndarray
     share: float
 
-    @property
-    def ideal_from_unit(self) -> np.ndarray:
-        return self.ideal_from_level @ self.level_from_unit
-
 
 def _match(
     level: Level, luma: np.ndarray, camera: Camera, ideal_from_unit: np.ndarray, reach: int
 ) -> _Match | None:
-    """None where too few corners agree on a homography."""
-    ideal_from_level = ideal_from_unit @ level.unit_from_level
-    h, w = level.even.shape
-    seen = even_contrast(_cut_out(luma, camera, ideal_from_level, (w, h)))
-    at = _pixels(camera, ideal_from_level, level.points.astype(float))
+    """None where too few corners agree on a homography. reach : further halvings of the images"""
+    cut, (h, w) = ideal_from_unit @ level.unit_from_level, level.even.shape
+    seen = even_contrast(_cut_out(luma, camera, cut, (w, h)))
+    at = _pixels(camera, cut, level.points.astype(float))
     there = (at > 2).all(1) & (at < [luma.shape[1] - 3, luma.shape[0] - 3]).all(1)
     points = level.points[there]
-    if len(points) < LEAST_POINTS:
+    needed = max(LEAST_POINTS, SHARE * len(points))
+    if len(points) < needed:
         return None
     moved, away = follow(level.even, seen, points, reach)
     good = away < _RETURN_PX
-    needed = max(LEAST_POINTS, SHARE * len(points))
     if good.sum() < needed:
         return None
     a, b = points[good].astype(float), moved[good].astype(float)
     found, agree = cv2.findHomography(a, b, cv2.USAC_MAGSAC, _AGREE_PX, maxIters=2000)
     if found is None or agree.sum() < needed:
         return None
-    units = _mapped(level.unit_from_level, a)
-    level_from_unit = found @ np.linalg.inv(level.unit_from_level)
+    own, units = (
+        found @ np.linalg.inv(level.unit_from_level),
+        _mapped(level.unit_from_level, a),
+    )
     share = float(agree.sum() / len(points))
-    return _Match(ideal_from_level, level_from_unit, units, b, agree.ravel() > 0, share)
+    return _Match(cut, own, cut @ own, units, b, agree.ravel() > 0, share)
 
 
 def _aligned(match: _Match, camera: Camera) -> Alignment | None:
-    """None for a quad that no print can show."""
-    units, moved, about = match.units, match.moved, match.ideal_from_unit
-    fit = _fitted(match.level_from_unit, units[match.agree], moved[match.agree])
-    if fit is None:
-        return None
-    change, covariance = fit
+    """By robust least squares; None for a quad that no print can show."""
+    from scipy.optimize import approx_fprime, least_squares
+
+    units, moved = match.units[match.agree], match.moved[match.agree]
+
+    def missed_by(change: np.ndarray) -> np.ndarray:
+        return (_mapped(match.level_from_unit @ _nearly_one(change), units) - moved).ravel()
 
     def corners_by(change: np.ndarray) -> np.ndarray:
-        return _pixels(camera, about @ _matrix(change), _CORNERS)
+        about = match.ideal_from_unit @ _nearly_one(change)
+        return _pixels(camera, about, _CORNERS).ravel()
 
-    new, corners = about @ _matrix(change), corners_by(change)
-    if not plausible(corners):
-        return None
-    from scipy.optimize import approx_fprime
-
-    slope = approx_fprime(change, lambda c: corners_by(c).ravel(), _STEP)
-    sigma = float(np.sqrt(np.trace(slope @ covariance @ slope.T) / 8))
-    off = _pixels(camera, new, units) - _pixels(camera, match.ideal_from_level, moved)
-    misfit = float(np.sqrt((off**2).sum(1).mean()))
-    return Alignment(divide(new, new[2, 2]), corners, sigma, match.share, misfit)
-
-
-def _matrix(change: np.ndarray) -> np.ndarray:
-    """(3, 3) homography of the unit square onto nearly itself, by eight numbers."""
-    return np.eye(3) + np.append(change, 0.0).reshape(3, 3)
-
-
-def _fitted(
-    level_from_unit: np.ndarray, units: np.ndarray, moved: np.ndarray
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Robust least squares for a homography: (change (8,) of the unit square before it, its
-    covariance); None where it places the points nowhere.
-
-    units, moved : (n, 2) points of the print, and where they are on the level
-    """
-
-    def missed(change: np.ndarray) -> np.ndarray:
-        return (_mapped(level_from_unit @ _matrix(change), units) - moved).ravel()
-
-    def deviation(residuals: np.ndarray) -> float:
-        return max(1.4826 * float(np.median(np.abs(residuals))), _LEAST_PX)
-
-    first = missed(np.zeros(8))
+    first = missed_by(np.zeros(8))
     if not np.isfinite(first).all():
         return None
-    from scipy.optimize import least_squares
+    worn = _WORN * _deviation(first)
+    fit = least_squares(missed_by, np.zeros(8), loss="arctan", f_scale=worn, ftol=1e-5)
+    new, corners = match.ideal_from_unit @ _nearly_one(fit.x), corners_by(fit.x)
+    if not plausible(corners.reshape(4, 2)):
+        return None
+    slope = approx_fprime(fit.x, corners_by, _STEP) @ np.linalg.pinv(fit.jac)
+    sigma = _ALIKE * _deviation(fit.fun) * float(np.sqrt((slope**2).sum() / 8))
+    off = _pixels(camera, new, match.units)
+    off -= _pixels(camera, match.ideal_from_level, match.moved)
+    misfit = float(np.sqrt((off**2).sum(1).mean()))
+    return Alignment(
+        divide(new, new[2, 2]), corners.reshape(4, 2), sigma, match.share, misfit
+    )
 
-    worn = _WORN * deviation(first)
-    fit = least_squares(missed, np.zeros(8), loss="arctan", f_scale=worn, ftol=1e-5)
-    inverse = np.linalg.pinv(fit.jac.T @ fit.jac, hermitian=True)
-    return fit.x, inverse * (_ALIKE * deviation(fit.fun)) ** 2
+
+def _deviation(residuals: np.ndarray) -> float:
+    return max(1.4826 * float(np.median(np.abs(residuals))), _LEAST_PX)
+
+
+def _nearly_one(change: np.ndarray) -> np.ndarray:
+    """(3, 3) homography of the unit square onto nearly itself, by eight numbers."""
+    return np.eye(3) + np.append(change, 0.0).reshape(3, 3)

@@ -50,18 +50,17 @@ def with_advection(
     rays = camera.directions(nodes) if reach_m > 0 else None
     number, key, then = 0, nodes, None
     detail, last_back = np.zeros((*nodes.shape[:2], 1)), np.zeros(nodes.shape)
-    last: FrameFacts | None = None
-    out = []
+    unknown = MotionStep(-1, None, True, detail[..., 0].astype(np.uint8))
+    shot, out = None, []
     for f in facts:
-        step = by_index.get(f.index)
-        cut = last is not None and f.shot != last.shot
-        if last is None or cut or step is not None:
-            number += last is not None
+        step = by_index.get(f.index, unknown)
+        begins = f.shot != shot
+        if begins or step is not unknown:
+            number += shot is not None
             pose = f.camera_from_world
             now = None if pose is None else pose @ world_from_anchor
-            flow = None if step is None or step.back is None else step.back.astype(float)
-            back = None if last is None or cut else flow
-            seen = 0 * detail if step is None else step.detail[..., None].astype(float)
+            back = None if begins or step.back is None else step.back.astype(float)
+            seen = step.detail[..., None].astype(float)
             if back is None:
                 field = nodes + np.array([_NEW_SHOT_PX * number, 0.0])
             else:
@@ -73,12 +72,12 @@ def with_advection(
                 seen = _NEW_DETAIL * seen + (1 - _NEW_DETAIL) * np.clip(carried, 0, 255)
             detail = seen
             last_back = np.zeros(nodes.shape) if back is None else back
-            if back is None or step is None or step.key:
+            if back is None or step.key:
                 last_back, key, then = np.zeros(nodes.shape), field, now
-                if flow is not None and step is not None and not step.key:
+                if step.back is not None and not step.key:
                     # a cut that the flow did not notice: the key frame's nodes lie where
                     # this frame's flow says
-                    key, then = _sampled(field, nodes - flow, nodes), None
+                    key, then = _sampled(field, nodes - step.back, nodes), None
             x, y = nodes[0, 0].astype(int).tolist()
             rows, columns, _ = nodes.shape
             made = AdvectionField(
@@ -90,7 +89,7 @@ def with_advection(
                 pack_detail(detail[..., 0]),
                 pose,
             )
-        last = f
+        shot = f.shot
         out.append(f.with_(advection=made))
     return tuple(out)
 
@@ -101,15 +100,8 @@ def _sampled(a: np.ndarray, places: np.ndarray, nodes: np.ndarray) -> np.ndarray
     from scipy.interpolate import RegularGridInterpolator
 
     axes = nodes[:, 0, 1], nodes[0, :, 0]
-    return np.stack(
-        [
-            RegularGridInterpolator(axes, one, bounds_error=False, fill_value=None)(
-                places[..., ::-1]
-            )
-            for one in np.moveaxis(a, -1, 0)
-        ],
-        -1,
-    )
+    read = RegularGridInterpolator(axes, a, bounds_error=False, fill_value=None)
+    return read(places[..., ::-1])
 
 
 def _with_pose(
@@ -164,7 +156,5 @@ def determinants(field: np.ndarray) -> np.ndarray:
     many px of the thing lie in one of the picture.
     """
     right, down = np.diff(field, axis=1), np.diff(field, axis=0)
-    sides = (right[:-1], down[:, :-1]), (right[1:], down[:, 1:])
-    return np.stack([a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0] for a, b in sides]) / (
-        GRID_PX**2
-    )
+    upper, lower = (right[:-1], down[:, :-1]), (right[1:], down[:, 1:])
+    return np.linalg.det(np.moveaxis(np.array([upper, lower]), 1, -2)) / GRID_PX**2

@@ -13,7 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from functools import cache
+from typing import ClassVar, NamedTuple
 
 import cv2
 import numpy as np
@@ -39,9 +40,10 @@ _NOISE, _STEEP = (
     2.0,
     20.0,
 )  # grey levels per px of the small frame: no detail, and as much as counts
-# Standard deviation of what counts as around a node, in nodes. Any less, and what lies
-# between two nodes would change as they pass over the things: cells would grow and shrink.
-_DETAIL_NODES = 0.85
+# Standard deviation of what is counted as around a node, in nodes, beside the nodes' own
+# linear shares (.4): of flow; and of detail, where with any less what lies between two nodes
+# would change as they pass over the things: cells would grow and shrink.
+_FLOW_NODES, _DETAIL_NODES = 0.5, 0.75
 _CHANGED = 0.7  # less than this share of agreement: the frame becomes the next key
 _LOST = 0.25  # less than this share of agreement: the frame has nothing to do with the last epoch's
 _SPREAD_NODES = 1.5
@@ -50,6 +52,7 @@ _MISFIT = 6.0  # grey levels at which a pixel counts half
 # a pixel's noise, grey levels, over what the flow may be off at a node, px, squared
 _PRIOR = 100.0
 _NEIGHBOURS = 0.3
+_FARTHEST_PX = 2000.0  # of the frame
 _MOST_PX = 0.3  # of the small picture
 _RIM_PX = 3  # the interpolation and the band need that much around a pixel
 
@@ -175,12 +178,11 @@ def _back(
     # of what has come into view since, the flow can only guess
     agree &= (to_x > 1) & (to_y > 1) & (to_x < w - 2) & (to_y < h - 2)
     trust = np.where(agree, slope**2 / (slope**2 + _GRADIENT**2), 0).astype(np.float32)
-    scale = np.array([width / w, height / h])
-    first, rough = (
-        (0.5 - BORDER * GRID_PX) / scale - 0.5,
-        _at_nodes(back, trust, width, height) / scale,
-    )
-    back = refined(rough, small, reference, trust, first, GRID_PX / scale) * scale
+    scale, hats = np.array([width / w, height / h]), _hats(width, height, w, h)
+    places = (node_positions(width, height) + 0.5) / scale - 0.5
+    rough = _at_nodes(back, trust, hats, places / [w, h])
+    back = refined(rough, small, reference, trust > 0, hats) * scale
+    back = np.clip(back, -_FARTHEST_PX, _FARTHEST_PX)
     return (np.round(back * STEPS_PER_PX) / STEPS_PER_PX).astype(np.float32), agreed
 
 
@@ -189,46 +191,60 @@ def _slope(small: np.ndarray) -> np.ndarray:
     return np.hypot(*(cv2.Sobel(small, cv2.CV_32F, x, 1 - x, scale=0.25) for x in (1, 0)))
 
 
-def _places(width: int, height: int, w: int, h: int) -> tuple[np.ndarray, Any]:
-    """Of the nodes in the small frame (h, w): x, y (gh, gw, 2), and the index of the pixels
-    next to them.
-    """
-    places = (node_positions(width, height) + 0.5) / [width / w, height / h] - 0.5
-    x, y = (
-        np.clip(np.round(p).astype(int), 0, size - 1)
-        for p, size in ((places[0, :, 0], w), (places[:, 0, 1], h))
+@cache
+def _hats(width: int, height: int, w: int, h: int) -> tuple[np.ndarray, np.ndarray]:
+    """(h, gh) and (w, gw) : share of each node in the linear interpolation at every pixel of
+    the small frame."""
+    nodes = node_positions(width, height)
+    rows, columns = (
+        np.maximum(1 - np.abs(pixels[:, None] - places) / GRID_PX, 0).astype(np.float32)
+        for pixels, places in (
+            ((np.arange(h) + 0.5) * height / h - 0.5, nodes[:, 0, 1]),
+            ((np.arange(w) + 0.5) * width / w - 0.5, nodes[0, :, 0]),
+        )
     )
-    return places, np.ix_(y, x)
+    return rows, columns
 
 
-def _at_nodes(back: np.ndarray, trust: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Flow of the small frame at the nodes, px of the frame: the affine motion of what is
-    trusted, and what differs from it spread from where it is trusted."""
+def _node_sums(hats: tuple[np.ndarray, np.ndarray], *terms: np.ndarray) -> np.ndarray:
+    """(gh, gw, k) sums of terms (h, w) around each node, by their share."""
+    rows, columns = hats
+    return np.stack([rows.T @ one @ columns for one in terms], -1).astype(float)
+
+
+def _around(sums: np.ndarray, nodes: float) -> np.ndarray:
+    return cv2.GaussianBlur(sums, (0, 0), nodes, borderType=cv2.BORDER_CONSTANT)
+
+
+def _with_neighbours(sums: np.ndarray) -> np.ndarray:
+    return sums + _NEIGHBOURS * cv2.GaussianBlur(
+        sums, (0, 0), _SPREAD_NODES, borderType=cv2.BORDER_REPLICATE
+    )
+
+
+def _at_nodes(
+    back: np.ndarray,
+    trust: np.ndarray,
+    hats: tuple[np.ndarray, np.ndarray],
+    places: np.ndarray,
+) -> np.ndarray:
+    """Flow (h, w, 2) of the small frame at the nodes: the affine motion of what is trusted, and
+    what differs from it spread from where it is trusted. places : of the nodes, in sizes of it"""
     h, w = trust.shape
-    places, at = _places(width, height, w, h)
     y, x = np.mgrid[0:h, 0:w]
     terms = np.stack([np.ones((h, w)), x / w, y / h], -1)
-    few = (
-        slice(None, None, 2),
-    ) * 2  # a quarter of the pixels is enough for the motion of the whole
-    some, weight = terms[few].reshape(-1, 3), trust[few].ravel().astype(float)
-    moved, robust, motion = back[few].reshape(-1, 2).astype(float), weight, np.zeros((3, 2))
-    for _ in range(
-        3
-    ):  # weighted least squares, with what misses it by much counting less; drawn towards no motion
+    # a quarter of the pixels is enough for the motion of the whole
+    some, weight = terms[::2, ::2].reshape(-1, 3), trust[::2, ::2].ravel().astype(float)
+    moved, robust, motion = back[::2, ::2].reshape(-1, 2), weight, np.zeros((3, 2))
+    # weighted least squares, with what misses it by much counting less; drawn towards no motion
+    for _ in range(3):
         normal = (some * robust[:, None]).T @ some + np.diag([1e-3, 1.0, 1.0])
         motion = np.linalg.solve(normal, (some * robust[:, None]).T @ moved)
         robust = weight / (1 + (np.linalg.norm(moved - some @ motion, axis=1) / 0.5) ** 2)
-    # onto the nodes: the mean of what lies around each, by trust; then outwards from node to node
-    rest = np.dstack([back - terms @ motion, np.ones((h, w))]) * trust[..., None]
-    reach = max(GRID_PX * w / width / 2, 0.5)
-    sums = cv2.GaussianBlur(rest, (0, 0), reach, borderType=cv2.BORDER_CONSTANT)[at]
-    sums += 0.3 * cv2.GaussianBlur(
-        sums, (0, 0), _SPREAD_NODES, borderType=cv2.BORDER_REPLICATE
-    )
-    whole = motion[0] + places / [w, h] @ motion[1:]
-    out = (whole + sums[..., :2] / (sums[..., 2:] + 0.01)) * [width / w, height / h]
-    return np.clip(out.astype(np.float32), -2000, 2000)
+    rest = (back - terms @ motion) * trust[..., None]
+    sums = _around(_node_sums(hats, rest[..., 0], rest[..., 1], trust), _FLOW_NODES)
+    sums = _with_neighbours(sums)
+    return motion[0] + places @ motion[1:] + sums[..., :2] / (sums[..., 2:] + 1)
 
 
 def _detail(small: np.ndarray, width: int, height: int) -> np.ndarray:
@@ -236,73 +252,43 @@ def _detail(small: np.ndarray, width: int, height: int) -> np.ndarray:
     slopes of noise count nothing.
     """
     density = np.clip((_slope(small) - _NOISE) / (_STEEP - _NOISE), 0, 1)
-    h, w = small.shape
-    reach = max(_DETAIL_NODES * GRID_PX * w / width, 0.5)
-    around = cv2.GaussianBlur(density, (0, 0), reach, borderType=cv2.BORDER_REPLICATE)
-    return np.round(255 * around[_places(width, height, w, h)[1]]).astype(np.uint8)
+    hats = _hats(width, height, *small.shape[::-1])
+    sums = _node_sums(hats, density, np.ones_like(density))
+    slopes, pixels = np.moveaxis(_around(sums, _DETAIL_NODES), -1, 0)
+    return np.round(255 * divide(slopes, pixels)).astype(np.uint8)
 
 
 def refined(
     back: np.ndarray,
     small: np.ndarray,
     reference: np.ndarray,
-    trust: np.ndarray,
-    first: np.ndarray,
-    pitch: np.ndarray,
+    trusted: np.ndarray,
+    hats: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
     """(gh, gw, 2) float64 px of the small picture: `back`, a step nearer to where the
-    reference has what the nodes show.
+    reference has what the nodes show: the sums around each node of slopes and what is missing.
 
     back (gh, gw, 2) : px of the small picture: what is at a place there is at place + back
-    in the reference
-    small, reference (h, w) uint8;  trust (h, w) : pixels with 0 are left out
-    first, pitch (2,) : place of the first node and distance from one to the next along x
-    and y, px of the small picture"""
-    back = np.asarray(back, float)
+    in the reference;  small, reference (h, w) uint8;  trusted (h, w)"""
     now, then = (
         cv2.GaussianBlur(a.astype(np.float32), (0, 0), _FINE_PX) for a in (small, reference)
     )
-    sums = _normal_equations(now, then, trust > 0, back, first, pitch)
-    means = divide(sums[..., 5:8], sums[..., 8:])  # around each node: taken out
-    sums = sums[..., :5] - sums[..., [5, 5, 6, 5, 6]] * means[..., [0, 1, 1, 2, 2]]
-    sums += _NEIGHBOURS * cv2.GaussianBlur(
-        sums, (0, 0), _SPREAD_NODES, borderType=cv2.BORDER_REPLICATE
-    )
-    slopes = sums[..., [0, 1, 1, 2]].reshape(*sums.shape[:2], 2, 2)
-    step = np.linalg.solve(slopes + _PRIOR * np.eye(2), sums[..., 3:, None])[..., 0]
-    return back + np.clip(step, -_MOST_PX, _MOST_PX)
-
-
-def _normal_equations(
-    small: np.ndarray,
-    reference: np.ndarray,
-    trusted: np.ndarray,
-    back: np.ndarray,
-    first: np.ndarray,
-    pitch: np.ndarray,
-) -> np.ndarray:
-    """(gh, gw, 9) : at each node the sums of xx, xy, yy, xe, ye, x, y, e and 1: slopes, and
-    what is missing (e).
-    """
-    h, w = small.shape
-    rows = _hat_weights(h, back.shape[0], first[1], pitch[1])
-    columns = _hat_weights(w, back.shape[1], first[0], pitch[0])
+    (rows, columns), (h, w) = hats, small.shape
     y, x = np.mgrid[0:h, 0:w].astype(np.float32)
     to_x, to_y = rows @ np.moveaxis(back.astype(np.float32), -1, 0) @ columns.T + (x, y)
-    gy, gx = np.gradient(small)
+    gy, gx = np.gradient(now)
     # OpenCV reads at 1/32 px: the slopes make up for the rest of the way
     fine_x, fine_y = (np.round(to * 32) / 32 for to in (to_x, to_y))
-    e = small - cv2.remap(reference, fine_x, fine_y, cv2.INTER_LANCZOS4)
+    e = now - cv2.remap(then, fine_x, fine_y, cv2.INTER_LANCZOS4)
     e -= gx * (to_x - fine_x) + gy * (to_y - fine_y)
     weight = trusted / (1 + (e / _MISFIT) ** 2)
     for at, size in ((x, w), (y, h), (to_x, w), (to_y, h)):
         weight[(at < _RIM_PX) | (at >= size - _RIM_PX)] = 0
-    one = np.ones_like(e)
-    terms = np.stack([gx * gx, gx * gy, gy * gy, gx * e, gy * e, gx, gy, e, one])
-    return np.moveaxis(rows.T @ (terms * weight) @ columns, 0, -1).astype(float)
-
-
-def _hat_weights(size: int, nodes: int, first: float, pitch: float) -> np.ndarray:
-    """(size, nodes) share of each node in the linear interpolation at every pixel."""
-    at = (np.arange(size) - first) / pitch
-    return np.maximum(1 - np.abs(at[:, None] - np.arange(nodes)), 0).astype(np.float32)
+    wx, wy, we = gx * weight, gy * weight, e * weight
+    sums = _node_sums(hats, wx * gx, wx * gy, wy * gy, wx * e, wy * e, wx, wy, we, weight)
+    means = divide(sums[..., 5:8], sums[..., 8:])  # around each node: taken out
+    sums = sums[..., :5] - sums[..., [5, 5, 6, 5, 6]] * means[..., [0, 1, 1, 2, 2]]
+    sums = _with_neighbours(sums)
+    slopes = sums[..., [0, 1, 1, 2]].reshape(*sums.shape[:2], 2, 2)
+    step = np.linalg.solve(slopes + _PRIOR * np.eye(2), sums[..., 3:, None])[..., 0]
+    return back + np.clip(step, -_MOST_PX, _MOST_PX)

@@ -18,12 +18,11 @@ from arfx.calibrate.corners import find_view
 from arfx.calibrate.print_layout import (
     Cells,
     lay_out,
-    marker_bits,
     outlines,
     parse_targets,
     write_sheet,
 )
-from arfx.core.marker_codes import dictionary
+from arfx.core.marker_codes import dictionary, marker_cells
 from arfx.errors import ConfigError
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -124,8 +123,8 @@ def filled(points: list[np.ndarray], size: tuple[float, float], scale: float) ->
 @pytest.mark.parametrize(
     "bits",
     [
-        marker_bits("36h11", 3),
-        marker_bits("4X4_50", 17),
+        ~marker_cells("36h11", 3),
+        ~marker_cells("4X4_50", 17),
         np.eye(3) > 0,
         np.ones((2, 2)) > 0,
     ],

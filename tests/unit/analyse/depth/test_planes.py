@@ -11,8 +11,8 @@ from arfx.analyse.depth.planes import (
     cloud_of,
     facing_up,
     find_planes,
-    mask_of,
     scene_planes,
+    seen_of,
 )
 from arfx.core.camera import Camera
 from arfx.core.numerics import divide
@@ -170,13 +170,13 @@ def test_a_wall_alone_is_nothing_to_stand_on() -> None:
     assert planes and not facing_up(planes, [level])
 
 
-def test_mask_closes_holes_and_keeps_the_gap_of_a_corridor() -> None:
+def test_what_is_seen_closes_holes_and_keeps_the_gap_of_a_corridor() -> None:
     rng = np.random.default_rng(1)
     positions = rng.uniform([-1, -1], [1, 1], (9000, 2))
     positions = positions[~((np.abs(positions[:, 0]) < 0.25) & (positions[:, 1] > -0.5))]
-    mask = mask_of(positions, np.full(len(positions), 0.025))
-    assert mask.area_m2 == pytest.approx(4 - 0.5 * 1.5, rel=0.05)
-    assert abs(mask.middle_m[0]) > 0.25 or mask.middle_m[1] < -0.5
+    seen = seen_of(positions, np.full(len(positions), 0.025))
+    assert seen.area_m2 == pytest.approx(4 - 0.5 * 1.5, rel=0.05)
+    assert abs(seen.middle_m[0]) > 0.25 or seen.middle_m[1] < -0.5
 
 
 def test_a_table_ends_and_the_floor_goes_on_beyond_the_picture() -> None:
