@@ -28,7 +28,7 @@ from arfx.papers.s1_light import (
     squared_weight,
 )
 from arfx.papers.s1_lightmap import phong
-from arfx.reproduce.rows import Item, Row, both, compared, curves, shown
+from arfx.reproduce.rows import Item, curves, row
 from arfx.reproduce.work import Work
 from arfx.stages.composite import shade
 
@@ -63,11 +63,12 @@ def section_2_3() -> Iterator[Item]:
     """Phong's model, and shadows."""
     v, d = normalise(np.array([[-0.6, 0, 0.8]])), np.array([0.6, 0, 0.8])
     highlight = float(phong(UP[None], v, d, np.array([0.3]))[0])
-    yield shown(
+    yield row(
         "section 2.3, Phong's highlight in the mirrored direction",
         "brightest",
         highlight,
-        None,
+        "",
+        "",
         abs(highlight - 1) < 1e-9,
     )
     light = np.full((1, 1, 3), SRGB.decode(np.array(200 / 255)), np.float32)
@@ -84,8 +85,8 @@ def section_2_3() -> Iterator[Item]:
         "the paper does not say what a shadow takes. Here, by both formulas: a share of the"
         " light, in linear light"
     )
-    yield Row(
-        "section 2.3, half of the light on coded 200", None, coded, coded, why, "of 255"
+    yield row(
+        "section 2.3, half of the light on coded 200", None, (coded, coded), "of 255", why
     )
 
 
@@ -108,13 +109,15 @@ def equation_1() -> Iterator[Item]:
         np.zeros((1, 3)),
         tuple(FittedLight(a, b[None], 1.0) for a, b in zip(d, omega, strict=True)),
     )
-    off = both(
+    off = tuple(
         float(np.abs(e - x).max()) for e in (shared.radiance(n), found.irradiance(n))
     )
-    yield shown(
+    yield row(
         "equation (1), two lights: largest difference from the sum",
         "x = Σ max(n·d, 0) Ω",
-        *off,
+        off,
+        "",
+        "",
         max(off) < 1e-12,
     )
 
@@ -152,19 +155,17 @@ def equation_2(seeds: int) -> Iterator[Item]:
         f" (10 to 90 % of clips: {np.percentile(table[:, 0], 10):.1f} to"
         f" {np.percentile(table[:, 0], 90):.1f})"
     )
-    yield compared(
+    yield row(
         "equation (2), ρ as mean brightness: bias, true 12 of 255",
         f"{BIAS:.0f}",
-        by,
-        bc,
+        (by, bc),
         "of 255",
         why + spread,
     )
-    yield compared(
+    yield row(
         "equation (2), ρ as mean brightness: largest error of the light's ratios",
         "0",
-        ey,
-        ec,
+        (ey, ec),
         "%",
         why,
     )
@@ -179,22 +180,19 @@ def equation_4() -> Iterator[Item]:
             for p in (True, False)
         }
         corrected = 255 * float(solve(three(grey), None, RHO).bias[0])
-        yield compared(
+        yield row(
             f"equation (4), b = 1/b', {frames} frames, true 12 of 255",
             f"{BIAS:.0f}",
-            b[True],
-            corrected,
+            (b[True], corrected),
             "of 255",
             FREE,
         )
-    yield compared(
+    yield row(
         "equation (4), b = b'/g', 40 frames, true 12 of 255",
         f"{BIAS:.0f}",
-        b[False],
-        corrected,
+        (b[False], corrected),
         "of 255",
-        "",
-        1e-6,
+        tolerance=1e-6,
     )
 
 
@@ -216,24 +214,21 @@ def equations_5_6(seeds: int) -> Iterator[Item]:
     for item, (seen, rho) in cases.items():
         one = solve(three(seen), None, rho, tolerances=EXACT).verdict == MEASURED
         nullity = eq6_smallest_vector(seen, rho).nullity
-        yield compared(
+        yield row(
             f"{item}: solutions",
             "1",
-            nullity,
-            1 if one else "refused",
+            (nullity, 1 if one else "refused"),
             "dimensions",
             lacks,
         )
     exact = 255 * eq6_smallest_vector(grey, RHO).bias
     corrected = 255 * float(solve(three(grey), None, RHO).bias[0])
-    yield compared(
+    yield row(
         "equation (6), bias without noise, true 12 of 255",
         f"{BIAS:.0f}",
-        exact,
-        corrected,
+        (exact, corrected),
         "of 255",
-        "",
-        1e-6,
+        tolerance=1e-6,
     )
     rho = np.linspace(0.45, 0.55, 8)
     found: dict[str, list[float]] = {"255": [], "1": [], "corrected": []}
@@ -255,7 +250,7 @@ def equations_5_6(seeds: int) -> Iterator[Item]:
             "equation (6), bias with noise of 2, true 12 of 255, albedos .45 to .55, I up"
             f" to {unit}"
         )
-        yield compared(item, f"{BIAS:.0f}", b[unit], b["corrected"], "of 255", why)
+        yield row(item, f"{BIAS:.0f}", (b[unit], b["corrected"]), "of 255", why)
 
 
 def equation_7() -> Iterator[Item]:
@@ -279,26 +274,24 @@ def equation_7() -> Iterator[Item]:
             out.append((printed.M[at, 0], corrected))
         return np.array(out)
 
-    last = both((seen(np.full(1000, 0.7))[-1] / 0.7).tolist())
+    last = tuple((seen(np.full(1000, 0.7))[-1] / 0.7).tolist())
     noisy = seen(0.7 + NOISE * np.random.default_rng(0).normal(size=400))
-    yield compared(
+    yield row(
         "equation (7), constant light after 1,000 updates",
         "1",
-        *last,
+        last,
         "of the light",
-        "",
-        1e-6,
+        tolerance=1e-6,
     )
-    left = both(100 * float(s) / NOISE for s in np.std(noisy[50:], axis=0))
-    yield shown(
+    left = tuple(100 * float(s) / NOISE for s in np.std(noisy[50:], axis=0))
+    yield row(
         "equation (7), noise of one normal that is left",
         "M ← (1 − f) M + f x",
-        *left,
-        False,
-        replaces,
+        left,
         "%",
+        replaces,
     )
-    newest = both(
+    newest = tuple(
         100 * float(np.mean(f(hemisphere(4) @ UP) >= 0.5))
         for f in (printed_weight, corrected_weight)
     )
@@ -306,12 +299,12 @@ def equation_7() -> Iterator[Item]:
         "as section 2.2 says, light that changes at once is not renewed at once; and (8)"
         " lacks its square: see there"
     )
-    yield Row(
+    yield row(
         "section 2.2, normals that one frame renews by half or more",
         "one",
-        *newest,
-        sudden,
+        newest,
         "% of the hemisphere",
+        sudden,
     )
 
 
@@ -325,22 +318,23 @@ def corrected_weight(cosine: np.ndarray) -> np.ndarray:
 
 def equation_8() -> Iterator[Item]:
     """The weight of a normal."""
-    yield Row("equation (8), s", "a blur constant", S_RAD, S_RAD, NO_VALUE, "rad")
+    yield row("equation (8), s", "a blur constant", (S_RAD, S_RAD), "rad", NO_VALUE)
     why = "the square of a Gaussian is missing in print: the weight has a cusp at 0"
     for angle_deg in (0, 1, 5, 10, 20, 30):
         cosine = np.cos(np.radians([angle_deg]))
-        f = both(float(weight(cosine)[0]) for weight in (printed_weight, corrected_weight))
+        f = tuple(float(weight(cosine)[0]) for weight in (printed_weight, corrected_weight))
         holds = abs(f[0] - f[1]) < 1e-6
-        yield shown(
+        yield row(
             f"equation (8), weight at {angle_deg} degrees",
             "exp(−θ / (2 s²))",
-            *f,
-            holds,
+            f,
+            "",
             why,
+            holds,
         )
     # nothing of the sphere is left out by cos(cos θ) > 0, half of it by cos θ > 0
     away = np.cos(np.radians([91.0, 120, 150, 180]))
-    out = both(
+    out = tuple(
         100 * float(np.mean(f == 0))
         for f in (eq8_weight(away, 2.0), corrected_weight(away))
     )
@@ -348,13 +342,12 @@ def equation_8() -> Iterator[Item]:
         "the cosine of a cosine is never negative: the condition excludes nothing."
         " Corrected: n·n' > 0"
     )
-    yield shown(
+    yield row(
         "equation (8), condition cos(n·n') > 0: directions behind that it excludes",
         "all",
-        *out,
-        False,
-        why,
+        out,
         "%",
+        why,
     )
     angles_deg = np.linspace(0, 40, 161)
     cosines = np.cos(np.radians(angles_deg))
@@ -387,15 +380,15 @@ def cap(span_deg: float, count: int, seed: int = 0) -> np.ndarray:
 def equation_9(seeds: int) -> Iterator[Item]:
     """Lights at the peaks of the map."""
     params = PrintedLightParams(albedos="known")
-    yield Row(
+    yield row(
         "equation (9), I_c",
         "a large value",
         f"{params.peak:g} of the largest",
-        None,
+        "",
         NO_VALUE,
     )
-    yield Row(
-        "equation (9), ε", "a small angle", params.peak_apart_deg, None, NO_VALUE, "degrees"
+    yield row(
+        "equation (9), ε", "a small angle", params.peak_apart_deg, "degrees", NO_VALUE
     )
     candidates, n = hemisphere(4), cap(75, 220)
     for apart_deg in (30, 60, 80):
@@ -411,27 +404,24 @@ def equation_9(seeds: int) -> Iterator[Item]:
             [li.direction for li in found.lights if not li.dome and li.confidence_deg < 90]
         ).reshape(-1, 3)
         what = f"equation (9), two equal lamps {apart_deg} degrees apart"
-        yield compared(
-            f"{what}: lights", "2", len(peaks), len(fitted) or "refused", "", PEAKS
-        )
+        yield row(f"{what}: lights", "2", (len(peaks), len(fitted) or "refused"), "", PEAKS)
         off = [off_deg(directions, lamps) for directions in (peaks, fitted)]
-        yield compared(
+        yield row(
             f"{what}: direction off",
             "0",
-            off[0],
-            "refused" if off[1] is None else off[1],
+            (off[0], "refused" if off[1] is None else off[1]),
             "degrees",
             PEAKS,
         )
     clips = [one_lamp(seed, params) for seed in range(seeds)]
-    median = both(
+    median = tuple(
         float(np.median([o for o in column if o is not None]))
         for column in zip(*clips, strict=True)
     )
-    yield compared(
+    yield row(
         "equation (9), one lamp with ambient light, median: direction off",
         "0",
-        *median,
+        median,
         "degrees",
         PEAKS,
     )
@@ -445,19 +435,18 @@ def equation_9(seeds: int) -> Iterator[Item]:
         "from one normal no direction can be known: the peak is the normal itself."
         " Corrected: refused, another cue is taken"
     )
-    count = both((float(sum(map(len, single))), float(sum(claimed))))
-    yield Row(
-        "equation (9), a marker at rest, 50 normals: lights", "at a peak", *count, why
+    count = tuple((float(sum(map(len, single))), float(sum(claimed))))
+    yield row(
+        "equation (9), a marker at rest, 50 normals: lights", "at a peak", count, "", why
     )
     five = np.concatenate(
         [UP[None], normalise(np.array([[1, 0, 1], [-1, 0, 1], [0, 1, 1], [0, -1, 1.0]]))]
     )
     kept = len(lights_of([reading(five, 0.6)], PrintedLightParams(peak=0.3))[0][0].lights)
-    yield compared(
+    yield row(
         "equation (9), five peaks: lights",
         "5",
-        kept,
-        LightParams().most_lights,
+        (kept, LightParams().most_lights),
         "",
         "corrected: two lamps at most",
     )

@@ -32,16 +32,7 @@ from arfx.papers.s2_lens import (
     printed_limits,
 )
 from arfx.reproduce import s2_figures, s2_rates
-from arfx.reproduce.rows import (
-    COLOURS,
-    UNDERIVED,
-    Item,
-    Row,
-    compared,
-    curves,
-    said,
-    shown,
-)
+from arfx.reproduce.rows import COLOURS, Item, Row, curves, row
 from arfx.reproduce.work import Work
 from arfx.stages.dof.aperture import disc
 from arfx.stages.dof.optics import CircleOfConfusion
@@ -100,7 +91,7 @@ def _circle() -> Iterator[Item]:
 def _same(item: str, printed: str, value: float, other: float, within: float = 1e-9) -> Row:
     """Two lengths, mm. within : as a fraction"""
     same = math.isclose(value, other, rel_tol=within)
-    return said(item, printed, (value, other), same, "another length", "mm")
+    return row(item, printed, (value, other), "mm", "another length", same)
 
 
 def _limits() -> Iterator[Item]:
@@ -118,14 +109,13 @@ def _limits() -> Iterator[Item]:
             at_limit, right_limit = (
                 float(circle_of_confusion_mm(d, lens)) for d in (at, right)
             )
-            yield compared(
+            yield row(
                 f"{name}{of}, circle (3) at this limit",
                 f"{C}",
-                at_limit,
-                right_limit,
+                (at_limit, right_limit),
                 "mm",
                 why,
-                1e-9,
+                tolerance=1e-9,
             )
     both = depth_of_field(LENS, C)
     assert both.front_mm is not None and both.back_mm is not None
@@ -135,19 +125,18 @@ def _limits() -> Iterator[Item]:
         "L in the denominator is not squared, the dimensions do not match; the sum of (4)"
         " and (5) is {:.4f}, and by (3) {:.4f}"
     )
-    yield Row(
+    yield row(
         "equation (6)",
         "ΔL1 + ΔL2",
-        total,
-        both.total_mm,
-        why.format(parts, both.front_mm + both.back_mm),
+        (total, both.total_mm),
         "mm",
+        why.format(parts, both.front_mm + both.back_mm),
     )
     squared = 2 * F**2 * N * C * L**2 / (F**4 - (N * C * L) ** 2)
     yield _same("equation (6), L squared", "ΔL1 + ΔL2", squared, parts, 1e-12)
     here, true_mm = hyperfocal(N, C, F), depth_of_field(LENS, C).hyperfocal_mm
     why = f"{L_LESS_F}; (5) has its pole there"
-    yield Row("equation (5), hyperfocal distance", "F²/(N C)", here, true_mm, why, "mm")
+    yield row("equation (5), hyperfocal distance", "F²/(N C)", (here, true_mm), "mm", why)
     beyond = Lens(F, N, 2 * true_mm)
     printed, corrected = printed_limits(beyond, C), depth_of_field(beyond, C)
     least = sharp_range(
@@ -169,8 +158,8 @@ def _limits() -> Iterator[Item]:
         f"negative in print. As a dioptre its limit is {least:.4f} / m, below that of"
         " infinity: all behind is inside"
     )
-    yield Row(
-        "equation (5), beyond the hyperfocal distance", "NCL²/(F² - NCL)", *words, why
+    yield row(
+        "equation (5), beyond the hyperfocal distance", "NCL²/(F² - NCL)", words, "", why
     )
 
 
@@ -183,71 +172,57 @@ def _example() -> Iterator[Item]:
         ("focal length", "200", LENS.focal_mm, "mm"),
         ("distance", "2.5", LENS.focus_mm / 1e3, "m"),
     ):
-        yield compared(f"section 3.1, {name}", value, used, used, unit)
+        yield row(f"section 3.1, {name}", value, (used, used), unit)
     as_radius = eq4_front(N, 2 * C, L, F)
-    yield Row(
+    yield row(
         "section 3.1, permitted circle",
         "radius .035 mm",
-        "diameter .035 mm",
-        "diameter .035 mm",
-        (
-            "the formulas take a diameter, and with .035 as such they give the printed 58.7"
-            f" mm; as a radius {as_radius:.1f} mm"
-        ),
+        ("diameter .035 mm", "diameter .035 mm"),
+        "",
+        "the formulas take a diameter, and with .035 as such they give the printed 58.7"
+        f" mm; as a radius {as_radius:.1f} mm",
     )
     of = "section 3.1, "
-    yield compared(
+    yield row(
         f"{of}front depth of field (4)",
         "58.7",
-        printed.front_mm,
-        true.front_mm,
+        (printed.front_mm, true.front_mm),
         "mm",
         L_LESS_F,
     )
-    yield compared(
+    yield row(
         f"{of}back depth of field (5)",
         "61.6",
-        printed.back_mm,
-        true.back_mm,
+        (printed.back_mm, true.back_mm),
         "mm",
         L_LESS_F,
     )
     near, far = (L - printed.front_mm) / 1e3, (L + printed.back_mm) / 1e3
-    yield compared(
-        f"{of}sharp from", "2.4413", near, (L - true.front_mm) / 1e3, "m", L_LESS_F
-    )
-    yield compared(f"{of}sharp to", "2.5616", far, (L + true.back_mm) / 1e3, "m", L_LESS_F)
+    yield row(f"{of}sharp from", "2.4413", (near, (L - true.front_mm) / 1e3), "m", L_LESS_F)
+    yield row(f"{of}sharp to", "2.5616", (far, (L + true.back_mm) / 1e3), "m", L_LESS_F)
     why = (
         "follows from none of the formulas: (4) + (5) is"
         f" {printed.front_mm + printed.back_mm:.3f} mm, (6) {printed.total_mm:.3f} mm; it"
         " is said to come from the camera's matrix, which is not stated"
     )
-    yield compared(
-        f"{of}depth of field of the composited scene",
-        "126.746",
-        None,
-        None,
-        "mm",
-        why,
-    )
-    yield Row(
+    yield row(f"{of}depth of field of the composited scene", "126.746", None, "mm", why)
+    yield row(
         f"{of}matrix of the camera",
         "found by OpenCV",
         None,
-        None,
-        "its elements are not known",
         "",
-        UNDERIVED,
+        "its elements are not known",
     )
     distance = np.linspace(2350, 2680, 400)
     circle = np.array([eq3_circle(F, N, L, d) for d in distance])
     apart = float(np.abs(circle - circle_of_confusion_mm(distance, LENS)).max())
     words = f"circles of 0 to {circle.max():.3f} mm"
-    yield shown(
+    yield row(
         "figure 3",
         "circle of a point beside the focus",
-        words,
-        f"{apart:.0e} mm apart from them",
+        (words, f"{apart:.0e} mm apart from them"),
+        "",
+        "",
         apart < 1e-9,
     )
     plot = curves(
@@ -274,28 +249,24 @@ def _blur_factor() -> Iterator[Item]:
         for f in (blur_factor(far, (0.0, 2.0), AT), AT.radius_px(far))
     ]
     words = ["rises" if r else "does not rise" for r in rises]
-    yield said(
+    yield row(
         "section 3, blur with distance from the focus",
         "rises",
         words,
-        all(rises),
+        "",
         "not everywhere",
+        all(rises),
     )
     a = blur_factor(np.array([0.0, 1e3 / L, 50.0]), (0.1, 2.0), AT)
     span = f"{a.min():g} to {a.max():g}"
-    yield said(
-        "section 3.4, range of α",
-        "0 to 1",
-        span,
-        span == "0 to 1",
-        "outside of it",
+    yield row(
+        "section 3.4, range of α", "0 to 1", span, "", "outside of it", span == "0 to 1"
     )
-    yield shown(
+    yield row(
         "section 3.2, depth = z / z_far",
         "0 to 1",
-        "dioptres, 0 to 1 / z_near",
-        "dioptres, 0 to 1 / z_near",
-        False,
+        ("dioptres, 0 to 1 / z_near", "dioptres, 0 to 1 / z_near"),
+        "",
         "1 / z has no largest distance: what is infinitely far has a place",
     )
     infinite = float(blur_factor(np.array([0.0]), (0.0, 20.0), AT)[0])
@@ -304,11 +275,11 @@ def _blur_factor() -> Iterator[Item]:
         "C_near of a plane at 50 mm is so large that all else seems sharp: a depends on"
         " planes that nobody sees"
     )
-    yield Row(
+    yield row(
         "section 3.2, a of infinity, near plane at 50 mm",
         "c / max(c_near, c_far)",
-        infinite,
-        times,
+        (infinite, times),
+        "",
         why,
     )
     one = [
@@ -318,7 +289,7 @@ def _blur_factor() -> Iterator[Item]:
     same = f"{float(circle_of_confusion_mm(OTHER, LENS)):.4f} mm with both"
     why = "one thing's blur changes with the far plane"
     ours = f"{one[0]:.3f} with z_far = 6 m, {one[1]:.3f} with 1000 m"
-    yield Row("section 3.2, a of a thing at 5 m", "one value", ours, same, why)
+    yield row("section 3.2, a of a thing at 5 m", "one value", (ours, same), "", why)
     wide = replace(AT, px_per_dioptre=AT.px_per_dioptre * N / 2)
     ratio = float(
         blur_factor(np.array([0.2]), (0.0, 0.5), wide)[0]
@@ -331,11 +302,11 @@ def _blur_factor() -> Iterator[Item]:
         "F and N cancel in a: an open and a closed aperture blur alike, but for the limits"
         " (4) and (5)"
     )
-    yield Row(
+    yield row(
         "section 3.2, blur at f/2 over that at f/11",
         "from focal length and f-number",
-        ratio,
-        true,
+        (ratio, true),
+        "",
         why,
     )
 
@@ -349,18 +320,18 @@ def _luminance() -> Iterator[Item]:
         only = np.full((3, 3, 3), 100, np.float32)
         only[y, x] = 101
         seen.append(float(eq8_bleed(only, flat)[1, 1, 0]) > 100.5 and (y, x) != (1, 1))
-    yield compared("figure 7, neighbours that count", "8", float(sum(seen)))
+    yield row("figure 7, neighbours that count", "8", float(sum(seen)))
     result = float(eq8_bleed(np.dstack([around] * 3), flat)[1, 1, 0])
     more = around[around > 100] - 100
     expected = float((more / more.sum() * around[around > 100]).sum())
     same = math.isclose(result, expected, rel_tol=1e-5)
     item = "equation (8), 100 among 100, 120, 90, 180, 100, 60, 100, 140"
-    yield said(item, "weights 20/140, 80/140, 40/140", result, same)
+    yield row(item, "weights 20/140, 80/140, 40/140", result, "", "", same)
     even = np.full((3, 3, 3), 100, np.float32)
     kept = float(
         eq8_bleed(even - np.where(np.arange(9).reshape(3, 3, 1) == 4, 0, 50), flat)[1, 1, 0]
     )
-    yield compared("equation (8), 100 among darker ones", "100", kept)
+    yield row("equation (8), 100 among darker ones", "100", kept)
     dot = np.zeros((9, 9, 3), np.float32)
     dot[4, 4] = 1
     made = float(eq8_bleed(dot, np.ones((9, 9), np.float32))[..., 0].sum())
@@ -369,8 +340,8 @@ def _luminance() -> Iterator[Item]:
         "each neighbour takes the white pixel's whole value: light is made from nothing,"
         " and reaches one pixel. A disc keeps it"
     )
-    yield Row(
-        "equation (8), light of one white pixel", 1.0, made, disc, why, "white pixels"
+    yield row(
+        "equation (8), light of one white pixel", 1.0, (made, disc), "white pixels", why
     )
 
 
@@ -393,38 +364,16 @@ def _blocks() -> Iterator[Item]:
         "intermediate": "512",
     }
     for name, value in parts.items():
-        yield compared(
-            f"figure 8, bytes of {name}",
-            printed[name],
-            float(value),
-            None,
-            "bytes",
-            why,
-        )
-    yield compared(
-        "figure 8, shared memory",
-        "9728",
-        float(sum(parts.values())),
-        None,
-        "bytes",
-        why,
-    )
-    yield compared(
+        yield row(f"figure 8, bytes of {name}", printed[name], float(value), "bytes", why)
+    yield row("figure 8, shared memory", "9728", float(sum(parts.values())), "bytes", why)
+    yield row(
         "figure 8, blocks of 800 x 800",
         "5000",
         float((800 // rows_px) * (800 // columns_px)),
-        None,
         "",
         why,
     )
-    yield compared(
-        "figure 8, threads of a block",
-        "128",
-        float(rows_px * columns_px),
-        None,
-        "",
-        why,
-    )
+    yield row("figure 8, threads of a block", "128", float(rows_px * columns_px), "", why)
     halo = (tall - rows_px) // 2
     largest = max(
         n
@@ -433,8 +382,12 @@ def _blocks() -> Iterator[Item]:
     )
     why = "not stated; the block holds 4 px around its own, of which (8) takes one"
     usual = f"{PrintedDofParams().mean_px} px, at most {largest} px"
-    yield Row(
-        "section 3.3, size of the mean filter", None, usual, "discs of the blur circle", why
+    yield row(
+        "section 3.3, size of the mean filter",
+        None,
+        (usual, "discs of the blur circle"),
+        "",
+        why,
     )
 
 
@@ -445,7 +398,7 @@ def _blend() -> Iterator[Item]:
             0, 0, 0
         ]
     )
-    yield compared("equation (9), 80 over 40 with α = 1/4", "50", value)
+    yield row("equation (9), 80 over 40 with α = 1/4", "50", value)
     step = np.where(np.arange(8) < 4, 0.0, 1.0)
     picture = np.repeat(np.repeat(step[None, :, None], 3, 0), 3, 2)
     half = eq9_blend(np.full((3, 8), 0.5), np.full_like(picture, 0.5), picture)
@@ -455,24 +408,25 @@ def _blend() -> Iterator[Item]:
         " one of its rows holds"
     )
     disc = float(DISC_ROWS.max())
-    yield Row(
+    yield row(
         "equation (9), sharp edge left at α = 1/2",
         "weighted mean",
-        left,
-        disc,
-        why,
+        (left, disc),
         "of the step",
+        why,
     )
     sharp = sharp_range(AT, F, C)
     inside = float(within_depth_of_field(np.array([AT.focus]), sharp, 0.5)[0])
     outside = float(within_depth_of_field(np.array([AT.focus + 0.1]), sharp, 0.5)[0])
-    yield said(
+    yield row(
         "section 3.4, factor inside the depth of field",
         "2/3",
         inside,
+        "",
+        "",
         abs(inside - 2 / 3) < 1e-9,
     )
-    yield compared("section 3.4, factor outside", "1", outside)
+    yield row("section 3.4, factor outside", "1", outside)
     places = np.linspace(sharp[0] - 0.01, sharp[1] + 0.01, 4001)
     steps = [
         float(np.abs(np.diff(within_depth_of_field(places, sharp, border))).max())
@@ -480,11 +434,11 @@ def _blend() -> Iterator[Item]:
     ]
     why = f"a hard border would be a step of {steps[1]:.2f}"
     words = f"no step (at most {steps[0]:.4f} from one of 4000 places to the next)"
-    yield shown(
+    yield row(
         "section 3.4, border of the depth of field",
         "smooth",
-        words,
-        "no border",
-        steps[0] < 0.01,
+        (words, "no border"),
+        "",
         why,
+        steps[0] < 0.01,
     )

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from arfx.core.machine import usable_cores
 from arfx.papers import CORRECTED, PAPER
-from arfx.reproduce.rows import UNDERIVED, Item, Row, bars, compared, said
+from arfx.reproduce.rows import Item, Row, bars, row
 from arfx.reproduce.s2_scene import ball_model, moving_desk, moving_settings, room_model
 from arfx.reproduce.work import Timed, Work, frames_of, median_s
 
@@ -52,9 +52,7 @@ def rows(work: Work) -> Iterator[Item]:
         why = (
             f"there is no camera: a clip of this size is decoded at {decoding:.0f} fps here"
         )
-        yield Row(
-            f"section 4, capture by {how}", printed, None, None, why, "fps", UNDERIVED
-        )
+        yield row(f"section 4, capture by {how}", printed, None, "fps", why)
     missed = f"not reached here, nor by the authors (21 fps): {HERE}"
     yield _rate("section 5, rate that is needed", 25.0, augmented, missed)
     labels = [
@@ -82,28 +80,24 @@ def _of_dof(timed: dict[tuple[str, str], Timed], mode: str) -> str:
 
 
 def _rate(item: str, printed: float, here: list[float], why: str) -> Row:
-    return said(item, printed, here, min(here) >= printed, why, "fps")
+    return row(item, printed, here, "fps", why, min(here) >= printed)
 
 
 def _machine(peaks_mb: list[float], size: tuple[int, int]) -> Iterator[Item]:
     here = f"{platform.machine()}, {usable_cores()} cores"
-    yield Row(
+    yield row(
         "section 4, machine",
         "Intel Core Duo 2.80 GHz, 2 GB, GeForce 9600 GT",
-        here,
-        here,
+        (here, here),
+        "",
         "another machine, without a graphics processor",
     )
     printed, corrected = max(peaks_mb[::2]), max(peaks_mb[1::2])
     why = "the process with all its libraries needs more than the authors' machine had"
     holds = max(printed, corrected) <= PC_MB
     words = [f"at most {mb:.0f} MB used" for mb in (printed, corrected)]
-    yield said("section 4, memory of the machine", "2 GB", words, holds, why)
+    yield row("section 4, memory of the machine", "2 GB", words, "", why, holds)
     used = f"{size[0]}*{size[1]}"
-    yield compared(
-        "section 4, resolution",
-        "1280*1024",
-        used,
-        used,
-        reason="the short form is smaller",
+    yield row(
+        "section 4, resolution", "1280*1024", (used, used), "", "the short form is smaller"
     )

@@ -5,13 +5,11 @@ tracer's own open lens, in which both balls are real."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from arfx.core.settings import converted
-from arfx.measure.steps import PreparedStages
 from arfx.papers import CORRECTED, PAPER
 from arfx.reproduce.work import Clip, Settings, Shot, Work
 from arfx.run.parameters import parameters, stage_of
@@ -124,13 +122,8 @@ def desk_shot(work: Work, clip: Clip, model: Mapping[str, Any]) -> Shot:
 
 def under(shot: Shot, formula: str, **dof: Any) -> Shot:
     """The same with depth of field under another formula, and with other settings of it."""
-    now, kind = shot.job.stages["dof"].params, parameters()["dof"][formula]
-    settings = converted(now, kind, **dof)
-    stages = {**shot.job.stages, "dof": stage_of("dof", settings)}
-    return replace(
-        shot,
-        renderer=replace(shot.renderer, prepared=PreparedStages(shot.job.scene, stages)),
-    )
+    now, kind = shot.stages["dof"].params, parameters()["dof"][formula]
+    return shot.with_stage(stage_of("dof", converted(now, kind, **dof)))
 
 
 def ball_model(work: Work) -> Mapping[str, Any]:

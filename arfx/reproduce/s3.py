@@ -14,19 +14,7 @@ from arfx.core.layers import Layer
 from arfx.papers import s3_watercolor as paper
 from arfx.reproduce import s3_measure as measure
 from arfx.reproduce import s3_scene as scene
-from arfx.reproduce.rows import (
-    BEFORE,
-    CORRECTED,
-    PRINTED,
-    Figure,
-    Item,
-    Row,
-    both,
-    compared,
-    curves,
-    said,
-    shown,
-)
+from arfx.reproduce.rows import BEFORE, CORRECTED, PRINTED, Figure, Item, Row, curves, row
 from arfx.reproduce.s3_scene import FLAT, OBJECTS, Shown, corrected, picture, printed
 from arfx.reproduce.work import Work, median_s
 from arfx.stages.watercolor.cells import mean_colours
@@ -60,8 +48,13 @@ def rows(work: Work) -> Iterator[Item]:
 def frame_rows(frame: Shown) -> Iterator[Item]:
     seen = [name for name, where in frame.objects().items() if where.any()]
     item, words = "figure 3, AR frame", f"{', '.join(seen)}, from one model file"
-    yield shown(
-        item, "virtual objects in the camera's frame", words, words, seen == list(OBJECTS)
+    yield row(
+        item,
+        "virtual objects in the camera's frame",
+        (words, words),
+        "",
+        "",
+        seen == list(OBJECTS),
     )
     yield Figure(
         item,
@@ -91,32 +84,32 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
         " one to a rectangle in the mean alone"
     )
     item = "equation (1), a site in each of m × n rectangles"
-    yield compared(item, "1", *shares, "share of the rectangles", why, tolerance=1e-9)
+    yield row(item, "1", shares, "share of the rectangles", why, tolerance=1e-9)
     item = "equation (1), every site in its own cell"
     shares = (measure.own_cell_share(sites), measure.own_cell_share(ours))
-    yield compared(item, "1", *shares, "share of sites", tolerance=1e-9)
+    yield row(item, "1", shares, "share of sites", tolerance=1e-9)
     away, far = (
         measure.farthest(s, found) / np.hypot(w, h)
         for s, found in ((sites, labels), (ours, own))
     )
     item = "equation (1), farthest pixel from its site"
-    yield shown(
-        item, "at most 1", away, far, max(away, far) <= 1, unit="diagonal of a rectangle"
+    yield row(
+        item, "at most 1", (away, far), "diagonal of a rectangle", "", max(away, far) <= 1
     )
 
     item = "figure 2, Voronoi diagram"
-    yield compared(f"{item}, polygons", str(m * n), float(len(np.unique(labels))), None)
+    yield row(f"{item}, polygons", str(m * n), float(len(np.unique(labels))))
     shares = measure.convex_share(labels), measure.convex_share(own)
-    yield compared(item, "1", *shares, "share of cells that are convex", tolerance=1e-9)
+    yield row(item, "1", shares, "share of cells that are convex", tolerance=1e-9)
     yield Figure(item, "each cell in a colour by chance", _templates(labels, own))
     nearest = (
         measure.nearest_share(sites, labels[:64, :96]),
         measure.nearest_share(ours, own[:64, :96]),
     )
-    yield compared(
+    yield row(
         "section 3.1.2, cones give Voronoi cells",
         "1",
-        *nearest,
+        nearest,
         "share of pixels with the nearest site",
         tolerance=1e-9,
     )
@@ -131,7 +124,7 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
     )
     numbers = len(np.unique(ours.key)) / len(ours)
     item = "section 3.1.2, a cell is known by the colour at its site"
-    yield shown(item, "unique", many / (m * n), numbers, False, why, "names per cell")
+    yield row(item, "unique", (many / (m * n), numbers), "names per cell", why)
 
     item, errors = "figure 4, cells in their mean colour", []
     for found, image in ((labels, frame.image), (own, frame.layers[Layer.IMAGE])):
@@ -142,12 +135,13 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
                 * np.abs(mean_colours(image, [found], len(area))[0] - exact)[area > 0].max()
             )
         )
-    yield said(
+    yield row(
         item,
         "the mean of the cell's pixels",
         errors,
+        "grey levels off it at most",
+        "",
         max(errors) < 0.01,
-        unit="grey levels off it at most",
     )
     flat = (
         frame.painted(printed(frame, toon=False, line_threshold=2.0)),
@@ -175,7 +169,7 @@ def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
     item = "section 3.1.2, nearer is finer"
     unit = f"area of a cell of a plane at {depth[-1]:.2f} m / at {depth[0]:.2f} m"
     ratios = float(by_cones[-1] / by_cones[0]), float(by_density[-1] / by_density[0])
-    yield said(item, "nearer is finer", ratios, False, why, unit)
+    yield row(item, "nearer is finer", ratios, unit, why)
     yield curves(
         item,
         "cells on a plane",
@@ -191,14 +185,12 @@ def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
     )
     own = measure.corrected_cells(frame)
     item = "section 3.1.2, polygons with cones of many sizes"
-    yield shown(
+    yield row(
         item,
         "convex",
-        share,
-        measure.convex_share(own),
-        False,
-        why,
+        (share, measure.convex_share(own)),
         "share of cells that are convex",
+        why,
     )
     yield Figure(
         item, "cells by depth", {"depth buffer": picture(buffer), **_templates(labels, own)}
@@ -230,24 +222,23 @@ def toon_rows(frame: Shown) -> Iterator[Item]:
         high_soft,
         "the line with the first `if` is missing",
     )
-    yield compared("toon listing, second threshold", "0.2", low, low_soft, "n · l")
+    yield row("toon listing, second threshold", "0.2", (low, low_soft), "n · l")
     for name, text, at in (
         ("first", "1", 1.0),
         ("second", "0.4", 0.35),
         ("third", "0.1", -0.5),
     ):
         k = int(np.searchsorted(cosine, at - 1e-9))
-        yield compared(
+        yield row(
             f"toon listing, {name} tone",
             text,
-            float(hard[k]),
-            float(soft[k]),
+            (float(hard[k]), float(soft[k])),
             "of the colour",
             tolerance=1e-4,
         )
     why = f"corrected, a step is a ramp of {RAMP:g} in n · l, so that it does not crawl"
     counts = [float(len(np.unique(tones.round(4)))) for tones in (hard, soft)]
-    yield compared("toon listing, discrete intensities", "3", *both(counts), "tones", why)
+    yield row("toon listing, discrete intensities", "3", counts, "tones", why)
 
     where, shares = np.any(list(frame.objects().values()), axis=0), []
     for stage in (printed(frame), corrected()):
@@ -261,12 +252,8 @@ def toon_rows(frame: Shown) -> Iterator[Item]:
         for smooth, toon in shares
     ]
     item, why = "section 3.2, toon in place of Gouraud shading", "a soft step is no edge"
-    yield said(
-        item,
-        "edges that stand out more",
-        words,
-        all(b > a for a, b in shares),
-        why,
+    yield row(
+        item, "edges that stand out more", words, "", why, all(b > a for a, b in shares)
     )
 
 
@@ -277,9 +264,7 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
     ):
         for step, (left, right, *values) in STEP_VALUES.items():
             made = measure.edge_of(left, right, beta)
-            yield compared(
-                f"{equation}, {step}", values[k], *made, "α = β = .5", tolerance=2e-4
-            )
+            yield row(f"{equation}, {step}", values[k], made, "α = β = .5", tolerance=2e-4)
     p, c = printed(frame).params, corrected().params
     yield _not_stated("matrix from RGB to YUV", p.yuv, "bt601")
     yield _not_stated("equation (2), alpha", p.alpha, ALPHA)
@@ -293,13 +278,12 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
     )
     item = "equation (4), pixels of an edge that flip"
     flips = measure.flips(work.scaled(12, 4))
-    yield said(
+    yield row(
         item,
         "an edge, or none",
         flips,
-        False,
-        why,
         "share from frame to frame, noise 2/255, at the worst contrast",
+        why,
     )
 
     item, toon_shaded = "figure 5, edges of the frame", frame.toon_shaded(printed(frame))
@@ -319,21 +303,22 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
     outlines["outlines of real things"] = frame.real_outlines(), why
     for name, (where, why) in outlines.items():
         found = measure.share_near(where, edges), measure.share_near(where, lines > DRAWN)
-        yield said(
+        yield row(
             f"{item}, {name}",
             "found",
             found,
-            min(found) > 0.95,
-            why,
             "share of it with an edge within 2 px",
+            why,
+            min(found) > 0.95,
         )
     black = float(edges.mean()), float((lines > DRAWN).mean())
-    yield said(
+    yield row(
         item,
         "outlines of virtual and real things",
         black,
+        "share of the frame's pixels",
+        "",
         min(black) > 0,
-        unit="share of the frame's pixels",
     )
     true = np.any([where for where, _ in outlines.values()], axis=0)
     drawn = {
@@ -361,12 +346,13 @@ def picture_rows(frame: Shown) -> Iterator[Item]:
     done, made = np.where(edges[..., None], 0, cells), frame.painted(stage)
     item = "figure 6, from the frame to the picture"
     apart = float(255 * np.abs(done - made).max())
-    yield said(
+    yield row(
         item,
         "cells, with the edges over them",
         apart,
+        "grey levels from these steps",
+        "",
         apart < 0.5,
-        unit="grey levels from these steps",
     )
     steps = {"frame": coded, "cells": cells, "edges": 1.0 - edges, "cells and edges": done}
     yield Figure(item, "the printed steps", {name: picture(a) for name, a in steps.items()})
@@ -378,7 +364,7 @@ def picture_rows(frame: Shown) -> Iterator[Item]:
         "the paper has no measure of how well real and virtual agree; the values are how"
         " much the frame has changed in the mean"
     )
-    yield Row(item, "real and virtual agree", *both(change), why, "grey levels")
+    yield row(item, "real and virtual agree", change, "grey levels", why)
     yield Figure(
         item,
         "the result",
@@ -407,13 +393,8 @@ def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
         made, ours = measure.still_frames(frame, frames, of_printed, of_corrected)
         item = f"section 2, coherence at rest, {name}"
         errors = (measure.mean_squared(made), measure.mean_squared(ours))
-        yield said(
-            item,
-            "good",
-            errors,
-            False,
-            at_rest,
-            "squared error between frames, noise 2/255",
+        yield row(
+            item, "good", errors, "squared error between frames, noise 2/255", at_rest
         )
         change = {
             PRINTED: 8 * abs(made[1] - made[0]),
@@ -426,13 +407,8 @@ def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
         )
         errors = measure.pan_errors(frame.scene, frames, of_printed, of_corrected)
         item = f"section 2, coherence in a pan, {name}"
-        yield said(
-            item,
-            "good",
-            errors,
-            False,
-            in_pan,
-            "squared error along the motion, noise 2/255",
+        yield row(
+            item, "good", errors, "squared error along the motion, noise 2/255", in_pan
         )
     rates = [
         1 / median_s(partial(frame.paint_anew, frame.ready(stage)), work.scaled(5, 1))
@@ -443,13 +419,13 @@ def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
         "no rate, size or machine is printed; the values are of the stage alone, at"
         f" {rect.width} × {rect.height} on a processor"
     )
-    yield Row("section 2, speed", "real time", *both(rates), why, "frames/s")
+    yield row("section 2, speed", "real time", rates, "frames/s", why)
 
 
 def _not_stated(
     item: str, here: float | str, ours: float | str, why: str = "the paper does not say"
 ) -> Row:
-    return Row(item, "not stated", here, ours, f"{why}: it is a setting")
+    return row(item, "not stated", (here, ours), "", f"{why}: it is a setting")
 
 
 def _templates(labels: np.ndarray, own: np.ndarray) -> dict[str, np.ndarray]:

@@ -166,7 +166,7 @@ def shown(work: Work) -> Shown:
     clip = work.clip(SCENE.format(width=width, height=height))
     shot = work.shot(clip, settings={"model": {"file": work.model("group"), "fit": "26cm"}})
     layers = shot.renderer.after(shot.up_to("watercolor")[:-1]).view(shot.renderer.window)
-    return Shown(layers, shot.renderer.facts, shot.job.scene, shot.renderer.original())
+    return Shown(layers, shot.facts, shot.job.scene, shot.renderer.original())
 
 
 def cells_of(shown: Shown) -> tuple[int, int]:

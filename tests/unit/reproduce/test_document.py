@@ -12,7 +12,7 @@ import pytest
 
 from arfx.reproduce import PAPERS, Paper
 from arfx.reproduce.document import items_of, reproduce
-from arfx.reproduce.rows import Figure, Item, bars, compared
+from arfx.reproduce.rows import Figure, Item, bars, row
 from arfx.reproduce.work import Work
 
 GREY = np.full((24, 32, 3), 90, np.uint8)
@@ -37,8 +37,8 @@ def test_a_page_holds_rows_pictures_and_error_maps(
     items: list[Item], tmp_path: Path
 ) -> None:
     items += [
-        compared("figure 1", "a & b", "a & b"),
-        compared(
+        row("figure 1", "a & b", "a & b"),
+        row(
             "table 1, apple",
             "9–13",
             4.25,
@@ -74,10 +74,10 @@ def test_a_page_holds_rows_pictures_and_error_maps(
 def test_an_item_has_one_row_and_no_figure_is_without(
     items: list[Item], tmp_path: Path
 ) -> None:
-    items.append(compared("figure 1", "a", "a"))
+    items.append(row("figure 1", "a", "a"))
     assert items_of("s1", Work(tmp_path)) == items
     for wrong, words in (
-        (compared("figure 1", "b", "b"), "two rows"),
+        (row("figure 1", "b", "b"), "two rows"),
         (Figure("figure 2", "", {"before": GREY}), "no row"),
     ):
         items.append(wrong)
