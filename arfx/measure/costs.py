@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 import json
 import time
+import tomllib
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -38,23 +39,7 @@ from arfx.run.folder import write
 from arfx.run.job import MOST_THREADS, worker_count
 from arfx.stages import ON_DEPTH, STAGES
 
-# Width, height, fraction of the picture under the object, (longitudes, latitudes): 720 to
-# 24,000 triangles; its shape (SHAPES), whether depth was measured, and whether levels
-# `reference` are timed, each on the first two that show its effect, or all others. Small ones
-# come early: they tell what a frame costs by itself.
-SCENES = (
-    (640, 480, 0.08, (60, 51), "pile", False, False),
-    (160, 120, 0.1, (60, 51), "ball", True, False),
-    (320, 240, 0.3, (20, 19), "pile", True, False),
-    (64, 64, 0.08, (20, 19), "ball", False, True),
-    (96, 64, 0.1, (60, 51), "pile", True, True),
-    (160, 120, 0.1, (20, 19), "ball", False, True),
-    (128, 96, 0.3, (60, 51), "pile", True, True),
-    (1280, 720, 0.04, (60, 51), "ball", False, False),
-    (640, 360, 0.2, (60, 51), "textured", False, False),
-    (480, 360, 0.15, (120, 101), "pile", True, False),
-    (960, 540, 0.25, (20, 19), "ball", False, False),
-)
+SCENES = Path(__file__).with_suffix(".toml")
 LIMIT_S = 55.0
 PREPARE_S = (
     1.0  # of one level: preparing it again and again would take all the time there is
@@ -150,12 +135,16 @@ def calibrate(
         watch = Stopwatch(processor, pool, concurrency)
         if stage is None:
             time_output(timed, watch, partial(progress, "calibrate output"))
-        for k, (width, height, covered, triangles, shape, deep, slow) in enumerate(SCENES):
+        scenes = tomllib.loads(SCENES.read_text(encoding="utf-8"))["scene"]
+        for k, scene in enumerate(scenes):
             if time.perf_counter() - began > limit_s:
                 break
-            at = bench_scene(width, height, covered, SHAPES[shape](*triangles))
-            alone += _time_scene(at.with_depth() if deep else at, slow, stage, timed, watch)
-            progress("calibrate scenes", k + 1, len(SCENES))
+            model = SHAPES[scene["shape"]](*scene["triangles"])
+            width, height = scene["size"]
+            at = bench_scene(width, height, scene["covered"], model)
+            at = at.with_depth() if scene["deep"] else at
+            alone += _time_scene(at, scene["slow"], stage, timed, watch)
+            progress("calibrate scenes", k + 1, len(scenes))
     prices = {key: fit(runs, _terms_of(key)) for key, runs in timed.items()}
     for key, shipped in shipped_prices().prices.items():
         if _stage_of(key) in (STAGES if stage is None else [stage]):

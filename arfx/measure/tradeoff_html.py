@@ -214,69 +214,31 @@ def visible(r: Row) -> bool:
 
 def recommendation(found: Measurements) -> str:
     """One sentence: the cheapest quality whose difference from the reference does not show,
-    and what would.
+    and what would; where all show, the nearest, and whose difference it is. Said too where
+    so little of the picture was compared that other parts of it may differ otherwise.
     """
     by_quality = {r.level: r for r in found.pipelines if r.level in QUALITIES}
-    reference = by_quality.get("reference")
-    if reference is None:
-        return "every effect has one level only: there is nothing to choose"
-    others = sorted(
-        (r for q, r in by_quality.items() if q != "reference"), key=lambda r: r.seconds
-    )
-    if not others:
-        return "the job has one quality only"
+    reference = by_quality.pop("reference", None)
+    others = sorted(by_quality.values(), key=lambda r: r.seconds)
     good = next((r for r in others if not visible(r)), None)
-    chosen = good or min(others, key=lambda r: r.average("mean"))
-    if good is None:
-        return _none(found, chosen, reference) + _window(found)
-    words = (
-        f"{chosen.level} is within {chosen.average('mean'):.1f} grey levels of reference on"
-        f" average (99 % of the pixels within {chosen.worst('p99'):.0f}) at"
-        f" {_share(chosen.time, reference.time)} of its time"
-    )
-    lower = QUALITIES[: QUALITIES.index(chosen.level)]
-    shows = [r for r in found.effects if r.level in lower and visible(r)]
-    if shows:
-        worst = max(shows, key=lambda r: r.worst("p99"))
-        place = found.locations.get((worst.name, worst.level), "")
-        words += (
-            f"; {worst.name} {worst.level} would show {place}".rstrip()
-            + f" (frame {worst.worst_frame()})"
-        )
-    return words + _window(found)
-
-
-def _none(found: Measurements, nearest: Row, reference: Row) -> str:
-    """Where every quality below reference shows: the nearest of them, and whose difference
-    it is.
-    """
-    own = [r for r in found.effects if nearest.levels.get(r.name) == r.level]
-    most = max(own, key=lambda r: r.average("mean"), default=None)
-    words = (
-        "no quality below reference is without a difference that shows: the nearest,"
-        f" {nearest.level}, is {nearest.average('mean'):.1f} grey levels off on average at"
-        f" {_share(nearest.time, reference.time)} of its time, and would show in frame"
-        f" {nearest.worst_frame()}"
-    )
-    if most is not None and most.average("mean") > SEEN_MEAN:
-        words += (
-            f"; most of it is {most.name}'s ({most.average('mean'):.1f} grey levels by"
-            " itself)"
-        )
-    return words
-
-
-def _window(found: Measurements) -> str:
-    """Said where so little of the picture was compared that other parts of it may differ
-    otherwise.
-    """
-    least = min(found.windows.values(), key=lambda w: w.area, default=None)
-    if least is None or least.area >= FEW_PX:
-        return ""
-    return (
-        f"; compared on {least.width} × {least.height} px of a frame alone, as the"
-        " references take so long"
-    )
+    chosen = good or min(others, key=lambda r: r.average("mean"), default=None)
+    lower = QUALITIES[: QUALITIES.index(chosen.level)] if chosen else ()
+    worse = [r for r in found.effects if r.level in lower and visible(r)]
+    shows = max(worse, key=lambda r: r.worst("p99"), default=None)
+    own = [r for r in found.effects if chosen and chosen.levels.get(r.name) == r.level]
+    return render(
+        "measure/tradeoff_advice.jinja",
+        reference=reference,
+        chosen=chosen,
+        good=good,
+        share=_share(chosen.time, reference.time) if chosen and reference else "",
+        shows=shows,
+        place=found.locations.get((shows.name, shows.level), "") if shows else "",
+        most=max(own, key=lambda r: r.average("mean"), default=None),
+        window=min(found.windows.values(), key=lambda w: w.area, default=None),
+        seen=SEEN_MEAN,
+        few=FEW_PX,
+    ).strip()
 
 
 def _share(part: Prediction, whole: Prediction) -> str:

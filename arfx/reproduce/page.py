@@ -61,12 +61,13 @@ def captioned(shown: Figure) -> Iterator[tuple[np.ndarray, str]]:
         if REFERENCE in shown.pictures
         else {CORRECTED: PRINTED}
     )
-    for name, picture in shown.pictures.items():
+    pictures = {name: eight_bit(picture) for name, picture in shown.pictures.items()}
+    for name, picture in pictures.items():
         against = compared.get(name)
-        if against is None or against not in shown.pictures:
+        if against is None or against not in pictures:
             yield picture, name
             continue
-        other = shown.pictures[against]
+        other = pictures[against]
         apart = difference(other, picture, np.ones(picture.shape[:2], bool))
         most = float(np.max(level_difference(other, picture)))
         yield (
@@ -77,3 +78,11 @@ def captioned(shown: Figure) -> Iterator[tuple[np.ndarray, str]]:
             ),
         )
         yield error_map(other, picture), f"{name} less {against}, × {TIMES} about grey"
+
+
+def eight_bit(coded: np.ndarray) -> np.ndarray:
+    """(h, w, 3) uint8 of coded values 0..1, of one channel or three; of uint8 as they are."""
+    if coded.dtype == np.uint8:
+        return coded
+    out = np.round(255 * np.clip(coded, 0, 1)).astype(np.uint8)
+    return out if out.ndim == 3 else np.dstack([out] * 3)

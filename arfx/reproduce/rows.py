@@ -113,8 +113,8 @@ class Figure:
     """Pictures of a figure of a paper, side by side.
 
     item : of the row that speaks of it;  title : what is seen
-    pictures : by name, in order, (h, w, 3) uint8 sRGB. BEFORE, PRINTED, CORRECTED and
-    REFERENCE where there are such; any other
+    pictures : by name, in order, (h, w, 3) uint8 sRGB, or coded values 0..1, also (h, w).
+    BEFORE, PRINTED, CORRECTED and REFERENCE where there are such; any other
     name is its caption. PRINTED and CORRECTED get maps of their difference from REFERENCE,
     without one CORRECTED gets that from PRINTED; those three are of one size"""
 

@@ -15,7 +15,7 @@ from arfx.papers import s3_watercolor as paper
 from arfx.reproduce import s3_measure as measure
 from arfx.reproduce import s3_scene as scene
 from arfx.reproduce.rows import BEFORE, CORRECTED, PRINTED, Figure, Item, Row, curves, row
-from arfx.reproduce.s3_scene import FLAT, OBJECTS, Shown, corrected, picture, printed
+from arfx.reproduce.s3_scene import FLAT, OBJECTS, Shown, corrected, printed
 from arfx.reproduce.work import Work, median_s
 from arfx.stages.watercolor.cells import mean_colours
 from arfx.stages.watercolor.labels import label
@@ -48,19 +48,10 @@ def rows(work: Work) -> Iterator[Item]:
 def frame_rows(frame: Shown) -> Iterator[Item]:
     seen = [name for name, where in frame.objects().items() if where.any()]
     item, words = "figure 3, AR frame", f"{', '.join(seen)}, from one model file"
-    yield row(
-        item,
-        "virtual objects in the camera's frame",
-        (words, words),
-        "",
-        "",
-        seen == list(OBJECTS),
-    )
-    yield Figure(
-        item,
-        "what both methods are given",
-        {"camera": frame.real, BEFORE: picture(frame.image)},
-    )
+    found = "virtual objects in the camera's frame"
+    yield row(item, found, (words, words), "", "", seen == list(OBJECTS))
+    pictures = {"camera": frame.real, BEFORE: frame.image}
+    yield Figure(item, "what both methods are given", pictures)
 
 
 def cell_rows(frame: Shown) -> Iterator[Item]:
@@ -71,14 +62,12 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
     sites = paper.eq1_sites(rect, m, n, 1)
     ours = make_sites(still_field(rect.width, rect.height, cell_px, 64), 1, 10**6, cell_px)
     labels, own = paper.cones(sites, np.ones(m * n), rect, m, n), label(ours, rect).first
+    both = ((sites, labels), (ours, own))
 
     yield _not_stated(
         "m and n", "settings; 0 = cells of cell_px", "cell_px, for cells of any density"
     )
-    shares = (
-        measure.rectangles_with_site(sites, rect, m, n),
-        measure.rectangles_with_site(ours, rect, m, n),
-    )
+    shares = [measure.rectangles_with_site(s, rect, m, n) for s, _ in both]
     why = (
         "corrected sites are those of a nested grid that moves with the things: as many,"
         " one to a rectangle in the mean alone"
@@ -86,37 +75,23 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
     item = "equation (1), a site in each of m × n rectangles"
     yield row(item, "1", shares, "share of the rectangles", why, tolerance=1e-9)
     item = "equation (1), every site in its own cell"
-    shares = (measure.own_cell_share(sites), measure.own_cell_share(ours))
+    shares = [measure.own_cell_share(s) for s, _ in both]
     yield row(item, "1", shares, "share of sites", tolerance=1e-9)
-    away, far = (
-        measure.farthest(s, found) / np.hypot(w, h)
-        for s, found in ((sites, labels), (ours, own))
-    )
+    away = [measure.farthest(s, found) / np.hypot(w, h) for s, found in both]
     item = "equation (1), farthest pixel from its site"
-    yield row(
-        item, "at most 1", (away, far), "diagonal of a rectangle", "", max(away, far) <= 1
-    )
+    yield row(item, "at most 1", away, "diagonal of a rectangle", "", max(away) <= 1)
 
     item = "figure 2, Voronoi diagram"
     yield row(f"{item}, polygons", str(m * n), float(len(np.unique(labels))))
-    shares = measure.convex_share(labels), measure.convex_share(own)
+    shares = [measure.convex_share(found) for _, found in both]
     yield row(item, "1", shares, "share of cells that are convex", tolerance=1e-9)
     yield Figure(item, "each cell in a colour by chance", _templates(labels, own))
-    nearest = (
-        measure.nearest_share(sites, labels[:64, :96]),
-        measure.nearest_share(ours, own[:64, :96]),
-    )
-    yield row(
-        "section 3.1.2, cones give Voronoi cells",
-        "1",
-        nearest,
-        "share of pixels with the nearest site",
-        tolerance=1e-9,
-    )
+    shares = [measure.nearest_share(s, found[:64, :96]) for s, found in both]
+    item = "section 3.1.2, cones give Voronoi cells"
+    yield row(item, "1", shares, "share of pixels with the nearest site", tolerance=1e-9)
 
-    _, even = paper.named_by_colour(
-        np.full(frame.image.shape, 0.5, np.float32), labels, sites, rect
-    )
+    grey = np.full(frame.image.shape, 0.5, np.float32)
+    _, even = paper.named_by_colour(grey, labels, sites, rect)
     _, many = paper.named_by_colour(frame.image, labels, sites, rect)
     why = (
         f"equal colours collide: {m * n} cells have {many} names in the frame and {even} on"
@@ -129,30 +104,14 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
     item, errors = "figure 4, cells in their mean colour", []
     for found, image in ((labels, frame.image), (own, frame.layers[Layer.IMAGE])):
         exact, area = measure.exact_means(image, found)
-        errors.append(
-            float(
-                255
-                * np.abs(mean_colours(image, [found], len(area))[0] - exact)[area > 0].max()
-            )
-        )
-    yield row(
-        item,
-        "the mean of the cell's pixels",
-        errors,
-        "grey levels off it at most",
-        "",
-        max(errors) < 0.01,
-    )
-    flat = (
-        frame.painted(printed(frame, toon=False, line_threshold=2.0)),
-        frame.painted(corrected(cell_px=scene.CELL_PX, toon=False, **FLAT)),
-    )
-    shown_flat = {
-        BEFORE: picture(frame.image),
-        PRINTED: picture(flat[0]),
-        CORRECTED: picture(flat[1]),
-    }
-    yield Figure(item, "cells alone, their size by depth", shown_flat)
+        mean = mean_colours(image, [found], len(area))[0]
+        errors.append(float(255 * np.abs(mean - exact)[area > 0].max()))
+    unit = "grey levels off it at most"
+    yield row(item, "the mean of the cell's pixels", errors, unit, "", max(errors) < 0.01)
+    made = frame.painted(printed(frame, toon=False, line_threshold=2.0))
+    flat = frame.painted(corrected(cell_px=scene.CELL_PX, toon=False, **FLAT))
+    pictures = {BEFORE: frame.image, PRINTED: made, CORRECTED: flat}
+    yield Figure(item, "cells alone, their size by depth", pictures)
 
 
 def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
@@ -168,7 +127,7 @@ def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
     )
     item = "section 3.1.2, nearer is finer"
     unit = f"area of a cell of a plane at {depth[-1]:.2f} m / at {depth[0]:.2f} m"
-    ratios = float(by_cones[-1] / by_cones[0]), float(by_density[-1] / by_density[0])
+    ratios = [float(areas[-1] / areas[0]) for areas in (by_cones, by_density)]
     yield row(item, "nearer is finer", ratios, unit, why)
     yield curves(
         item,
@@ -178,23 +137,16 @@ def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
         {PRINTED: by_cones, CORRECTED: by_density},
     )
     buffer, labels = measure.printed_cells(frame)
-    share = measure.convex_share(labels)
+    own = measure.corrected_cells(frame)
+    shares = [measure.convex_share(found) for found in (labels, own)]
     why = (
         "borders between cones of two sizes are arcs; corrected cells are power cells,"
         " which are polygons"
     )
-    own = measure.corrected_cells(frame)
     item = "section 3.1.2, polygons with cones of many sizes"
-    yield row(
-        item,
-        "convex",
-        (share, measure.convex_share(own)),
-        "share of cells that are convex",
-        why,
-    )
-    yield Figure(
-        item, "cells by depth", {"depth buffer": picture(buffer), **_templates(labels, own)}
-    )
+    yield row(item, "convex", shares, "share of cells that are convex", why)
+    pictures = {"depth buffer": buffer, **_templates(labels, own)}
+    yield Figure(item, "cells by depth", pictures)
     yield _not_stated(
         "size of a cone by the depth buffer",
         "in proportion to its value",
@@ -212,49 +164,31 @@ def toon_rows(frame: Shown) -> Iterator[Item]:
     one = np.ones((1, n, 3), np.float32)
     hard = paper.toon(one, normal, up, p.toon_thresholds, p.toon_factors)[0, :, 0]
     soft = tones(cosine, c.toon_thresholds, c.toon_factors)
-    (low, high), (low_soft, high_soft) = (
-        _thresholds(hard, cosine),
-        _thresholds(soft, cosine),
-    )
-    yield _not_stated(
-        "toon listing, first threshold",
-        high,
-        high_soft,
-        "the line with the first `if` is missing",
-    )
-    yield row("toon listing, second threshold", "0.2", (low, low_soft), "n · l")
+    low, high = zip(*(_thresholds(kind, cosine) for kind in (hard, soft)), strict=True)
+    why = "the line with the first `if` is missing"
+    yield _not_stated("toon listing, first threshold", high[0], high[1], why)
+    yield row("toon listing, second threshold", "0.2", low, "n · l")
     for name, text, at in (
         ("first", "1", 1.0),
         ("second", "0.4", 0.35),
         ("third", "0.1", -0.5),
     ):
         k = int(np.searchsorted(cosine, at - 1e-9))
-        yield row(
-            f"toon listing, {name} tone",
-            text,
-            (float(hard[k]), float(soft[k])),
-            "of the colour",
-            tolerance=1e-4,
-        )
+        values = [float(kind[k]) for kind in (hard, soft)]
+        item = f"toon listing, {name} tone"
+        yield row(item, text, values, "of the colour", tolerance=1e-4)
     why = f"corrected, a step is a ramp of {RAMP:g} in n · l, so that it does not crawl"
     counts = [float(len(np.unique(tones.round(4)))) for tones in (hard, soft)]
     yield row("toon listing, discrete intensities", "3", counts, "tones", why)
 
-    where, shares = np.any(list(frame.objects().values()), axis=0), []
+    where, words, more = np.any(list(frame.objects().values()), axis=0), [], []
+    smooth = float(measure.printed_edges(frame.image, p)[where].mean())
     for stage in (printed(frame), corrected()):
-        pair = (
-            measure.printed_edges(frame.image, p)[where].mean(),
-            measure.printed_edges(frame.toon_shaded(stage), p)[where].mean(),
-        )
-        shares.append((float(pair[0]), float(pair[1])))
-    words = [
-        f"{toon:.1%} of the objects' pixels; {smooth:.1%} shaded smoothly"
-        for smooth, toon in shares
-    ]
+        toon = float(measure.printed_edges(frame.toon_shaded(stage), p)[where].mean())
+        words.append(f"{toon:.1%} of the objects' pixels; {smooth:.1%} shaded smoothly")
+        more.append(toon > smooth)
     item, why = "section 3.2, toon in place of Gouraud shading", "a soft step is no edge"
-    yield row(
-        item, "edges that stand out more", words, "", why, all(b > a for a, b in shares)
-    )
+    yield row(item, "edges that stand out more", words, "", why, all(more))
 
 
 def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
@@ -278,13 +212,8 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
     )
     item = "equation (4), pixels of an edge that flip"
     flips = measure.flips(work.scaled(12, 4))
-    yield row(
-        item,
-        "an edge, or none",
-        flips,
-        "share from frame to frame, noise 2/255, at the worst contrast",
-        why,
-    )
+    unit = "share from frame to frame, noise 2/255, at the worst contrast"
+    yield row(item, "an edge, or none", flips, unit, why)
 
     item, toon_shaded = "figure 5, edges of the frame", frame.toon_shaded(printed(frame))
     edges, lines = measure.printed_edges(toon_shaded, p), measure.corrected_lines(frame)
@@ -302,34 +231,20 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
     )
     outlines["outlines of real things"] = frame.real_outlines(), why
     for name, (where, why) in outlines.items():
-        found = measure.share_near(where, edges), measure.share_near(where, lines > DRAWN)
-        yield row(
-            f"{item}, {name}",
-            "found",
-            found,
-            "share of it with an edge within 2 px",
-            why,
-            min(found) > 0.95,
-        )
-    black = float(edges.mean()), float((lines > DRAWN).mean())
-    yield row(
-        item,
-        "outlines of virtual and real things",
-        black,
-        "share of the frame's pixels",
-        "",
-        min(black) > 0,
-    )
-    true = np.any([where for where, _ in outlines.values()], axis=0)
+        found = [measure.share_near(where, seen) for seen in (edges, lines > DRAWN)]
+        unit = "share of it with an edge within 2 px"
+        yield row(f"{item}, {name}", "found", found, unit, why, min(found) > 0.95)
+    black = [float(seen.mean()) for seen in (edges, lines > DRAWN)]
+    words, unit = "outlines of virtual and real things", "share of the frame's pixels"
+    yield row(item, words, black, unit, "", min(black) > 0)
     drawn = {
         BEFORE: toon_shaded,
         PRINTED: 1.0 - edges,
         CORRECTED: 1 - lines,
-        "outlines by depth": 1.0 - true,
+        "outlines by depth": 1.0
+        - np.any([where for where, _ in outlines.values()], axis=0),
     }
-    yield Figure(
-        item, "of the toon-shaded frame", {name: picture(a) for name, a in drawn.items()}
-    )
+    yield Figure(item, "of the toon-shaded frame", drawn)
 
 
 def picture_rows(frame: Shown) -> Iterator[Item]:
@@ -346,16 +261,10 @@ def picture_rows(frame: Shown) -> Iterator[Item]:
     done, made = np.where(edges[..., None], 0, cells), frame.painted(stage)
     item = "figure 6, from the frame to the picture"
     apart = float(255 * np.abs(done - made).max())
-    yield row(
-        item,
-        "cells, with the edges over them",
-        apart,
-        "grey levels from these steps",
-        "",
-        apart < 0.5,
-    )
+    words, unit = "cells, with the edges over them", "grey levels from these steps"
+    yield row(item, words, apart, unit, "", apart < 0.5)
     steps = {"frame": coded, "cells": cells, "edges": 1.0 - edges, "cells and edges": done}
-    yield Figure(item, "the printed steps", {name: picture(a) for name, a in steps.items()})
+    yield Figure(item, "the printed steps", steps)
 
     ours = frame.painted(corrected())
     change = [float(255 * np.abs(a - frame.image).mean()) for a in (made, ours)]
@@ -365,20 +274,18 @@ def picture_rows(frame: Shown) -> Iterator[Item]:
         " much the frame has changed in the mean"
     )
     yield row(item, "real and virtual agree", change, "grey levels", why)
-    yield Figure(
-        item,
-        "the result",
-        {BEFORE: picture(frame.image), PRINTED: picture(made), CORRECTED: picture(ours)},
-    )
+    pictures = {BEFORE: frame.image, PRINTED: made, CORRECTED: ours}
+    yield Figure(item, "the result", pictures)
 
 
 def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
     """What sections 2 and 4 say of time."""
-    frames, lineless = work.scaled(5, 3), {"toon": False, "line_threshold": 2.0}
-    flat, rest = (
-        {"toon": False, **FLAT},
-        {"grain": 0.0},
-    )  # the paper's grain rests on the screen
+    frames = work.scaled(5, 3)
+    # the paper's grain rests on the screen
+    cases: tuple[tuple[str, measure.Settings, measure.Settings], ...] = (
+        ("cells", {"toon": False, "line_threshold": 2.0}, {"toon": False, **FLAT}),
+        ("whole picture", {}, {"grain": 0.0}),
+    )
     at_rest = (
         "new random numbers in every frame; corrected sites are a hash of (seed, cell)"
     )
@@ -386,30 +293,22 @@ def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
         "even fixed on the screen, cells let the picture swim; corrected ones move with the"
         " things"
     )
-    for name, of_printed, of_corrected in (
-        ("cells", lineless, flat),
-        ("whole picture", {}, rest),
-    ):
-        made, ours = measure.still_frames(frame, frames, of_printed, of_corrected)
-        item = f"section 2, coherence at rest, {name}"
-        errors = (measure.mean_squared(made), measure.mean_squared(ours))
-        yield row(
-            item, "good", errors, "squared error between frames, noise 2/255", at_rest
+    for name, *settings in cases:
+        still = measure.still_frames(frame, frames, *settings)
+        item, unit = (
+            f"section 2, coherence at rest, {name}",
+            "squared error {}, noise 2/255",
         )
+        errors = [measure.mean_squared(made) for made in still]
+        yield row(item, "good", errors, unit.format("between frames"), at_rest)
         change = {
-            PRINTED: 8 * abs(made[1] - made[0]),
-            CORRECTED: 8 * abs(ours[1] - ours[0]),
+            f"change, {kind}": 8 * abs(made[1] - made[0])
+            for kind, made in zip((PRINTED, CORRECTED), still, strict=True)
         }
-        yield Figure(
-            item,
-            "change from a frame to the next, × 8",
-            {f"change, {k}": picture(a) for k, a in change.items()},
-        )
-        errors = measure.pan_errors(frame.scene, frames, of_printed, of_corrected)
+        yield Figure(item, "change from a frame to the next, × 8", change)
+        errors = measure.pan_errors(frame.scene, frames, *settings)
         item = f"section 2, coherence in a pan, {name}"
-        yield row(
-            item, "good", errors, "squared error along the motion, noise 2/255", in_pan
-        )
+        yield row(item, "good", errors, unit.format("along the motion"), in_pan)
     rates = [
         1 / median_s(partial(frame.paint_anew, frame.ready(stage)), work.scaled(5, 1))
         for stage in (printed(frame), corrected())

@@ -86,14 +86,14 @@ def flips(frames: int) -> list[float]:
 
 def still_frames(
     shown: Shown, frames: int, of_printed: Settings, of_corrected: Settings
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
+) -> list[list[np.ndarray]]:
     """(h, w, 3) coded frames of a resting, noisy camera, printed and corrected."""
     moments = [shown.noisy(100 + k, NOISE) for k in range(frames)]
     out = []
     for stage in (printed(shown, **of_printed), corrected(**of_corrected)):
         ready = shown.ready(stage)
         out.append([moment.painted(stage, ready) for moment in moments])
-    return out[0], out[1]
+    return out
 
 
 def mean_squared(frames: Sequence[np.ndarray]) -> float:
@@ -103,7 +103,7 @@ def mean_squared(frames: Sequence[np.ndarray]) -> float:
 
 def pan_errors(
     scene: Scene, frames: int, of_printed: Settings, of_corrected: Settings
-) -> tuple[float, float]:
+) -> list[float]:
     """The same in a pan over things of all sizes, along the true motion: printed with cells
     fixed on the screen (that is, of one frame's random numbers), corrected with cells that
     move with the things."""
@@ -127,17 +127,14 @@ def pan_errors(
             places = pack_positions(nodes.u + step_px * k, nodes.v)
             shape = nodes.u.shape[0], nodes.u.shape[1]
             field = AdvectionField(0, GRID_PX, (nodes.x0, nodes.y0), shape, places)
-            out.append(
-                _painted(
-                    ready, np.clip(coded, 0, 1) ** 2, FrameFacts(0, 0.0, advection=field)
-                )
-            )
+            facts = FrameFacts(0, 0.0, advection=field)
+            out.append(_painted(ready, np.clip(coded, 0, 1) ** 2, facts))
         pairs = [
             (a[16:-16, 16 + step_px : -16], b[16:-16, 16 : -16 - step_px])
             for a, b in itertools.pairwise(out)
         ]
         errors.append(float(np.mean([np.mean((a - b) ** 2) for a, b in pairs])))
-    return errors[0], errors[1]
+    return errors
 
 
 def _painted(ready: ReadyStage, linear: np.ndarray, facts: FrameFacts) -> np.ndarray:
@@ -165,26 +162,15 @@ def areas_on_plane(bands: int, repeats: int) -> tuple[np.ndarray, np.ndarray, np
     edges = np.linspace(border, height - border, bands + 1)
     for key in range(repeats):
         sites = paper.eq1_sites(_SIZE, height // CELL_PX, width // CELL_PX, key)
-        found = paper.cones(
-            sites,
-            paper.at_sites(depth, sites, _SIZE),
-            _SIZE,
-            height // CELL_PX,
-            width // CELL_PX,
-        )
+        size = paper.at_sites(depth, sites, _SIZE)
+        found = paper.cones(sites, size, _SIZE, height // CELL_PX, width // CELL_PX)
         other = make_sites(field, key, 10**6, CELL_PX)
-        for k, (at, labels) in enumerate(
-            ((sites, found), (other, label(other, _SIZE).first))
-        ):
+        by_formula = ((sites, found), (other, label(other, _SIZE).first))
+        for k, (at, labels) in enumerate(by_formula):
             area = np.bincount(labels.ravel(), minlength=len(at))
             x, band = at.x / STEPS, np.digitize(at.y / STEPS, edges) - 1
-            counted = (
-                (area > 0)
-                & (x > border)
-                & (x < width - border)
-                & (band >= 0)
-                & (band < bands)
-            )
+            counted = (area > 0) & (x > border) & (x < width - border)
+            counted &= (band >= 0) & (band < bands)
             areas[k, :, 0] += np.bincount(band[counted], area[counted], bands)
             areas[k, :, 1] += np.bincount(band[counted], minlength=bands)
     middle = 1 / np.interp((edges[1:] + edges[:-1]) / 2, np.arange(height), dioptre)
