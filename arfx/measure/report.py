@@ -41,11 +41,10 @@ def write_report(
     camera, points_m : with both, (n, 3) world points whose place in the picture is plotted
     before and after smoothing Returns the path of report.html. Raises RenderError where the
     folder cannot be written."""
-    from arfx.measure.report_html import page, pose_plot, timing_plot
+    from arfx.measure.report_html import page, pose_plot
 
     document = finite(report)
-    plots = {"pose": pose_plot(facts, camera, points_m), "timing": timing_plot(document)}
-    html = page(document, facts, before_after, plots)
+    html = page(document, facts, before_after, pose_plot(facts, camera, points_m))
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as e:

@@ -12,7 +12,7 @@ from typing import Any
 from arfx.core.machine import usable_cores
 from arfx.reproduce import PAPERS
 from arfx.reproduce.page import page
-from arfx.reproduce.rows import Figure, Item, Plot, Row
+from arfx.reproduce.rows import Item, Row
 from arfx.reproduce.work import Work
 from arfx.run.folder import write
 
@@ -46,9 +46,7 @@ def items_of(paper: str, work: Work) -> list[Item]:
     names = [i.item for i in found if isinstance(i, Row)]
     if twice := {n for n in names if names.count(n) > 1}:
         raise ValueError(f"{paper}: two rows for {min(twice)!r}")
-    if lone := [
-        i.item for i in found if isinstance(i, (Figure, Plot)) and i.item not in names
-    ]:
+    if lone := [i.item for i in found if i.item not in names]:
         raise ValueError(f"{paper}: there is a picture of {lone[0]!r}, but no row")
     return found
 

@@ -13,6 +13,7 @@ from arfx.measure.report_html import png
 from arfx.measure.tradeoff_html import TIMES, error_map
 from arfx.reproduce import Paper
 from arfx.reproduce.rows import (
+    COLOURS,
     CORRECTED,
     PRINTED,
     REFERENCE,
@@ -33,6 +34,7 @@ def page(paper: Paper, items: Sequence[Item], machine: str, short: bool) -> str:
         machine=machine,
         short=short,
         verdicts=VERDICTS,
+        colours=COLOURS,
         text=text,
         captioned=captioned,
         png=png,

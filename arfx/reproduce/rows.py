@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from arfx.measure.report_html import INK, drawing
+from arfx.measure.report_html import drawing
 
 HOLDS, DIFFERS, UNDERIVED = "holds", "differs, explained", "cannot be derived"
 VERDICTS = (HOLDS, DIFFERS, UNDERIVED)
@@ -135,39 +135,19 @@ class Plot:
     figure: Any
 
 
-def bars(
-    item: str,
-    title: str,
-    unit: str,
-    labels: Sequence[str],
-    series: Mapping[str, Sequence[float | tuple[float, float] | None]],
-) -> Plot:
+@dataclass(frozen=True, eq=False)
+class Bars:
     """A plot of a table: a group of bars for each label, a colour for each series (printed,
     printed method, corrected …).
 
-    A pair is drawn from its first to its second value, None is left out."""
-    figure = drawing(7.6, 0.8 + 0.22 * len(labels) * (len(series) + 1))
-    axis = figure.subplots()
-    height = 0.8 / len(series)
-    for k, (name, values) in enumerate(series.items()):
-        ends = [v if isinstance(v, tuple) else (0.0, v or 0.0) for v in values]
-        y = np.arange(len(labels)) + (k - (len(series) - 1) / 2) * height
-        starts, lengths = [a for a, _ in ends], [b - a for a, b in ends]
-        colour = COLOURS[k % len(COLOURS)]
-        drawn = axis.barh(y, lengths, 0.9 * height, starts, label=name, color=colour)
-        axis.bar_label(drawn, [_words(v) for v in values], padding=3, fontsize=7, color=INK)
-    axis.set_yticks(np.arange(len(labels)), labels)
-    axis.invert_yaxis()
-    axis.set_xlabel(unit)
-    axis.margins(x=0.12)
-    axis.legend()
-    return Plot(item, title, figure)
+    item : of a row that speaks of it
+    series : a pair is drawn from its first to its second value, None is left out"""
 
-
-def _words(value: float | tuple[float, float] | None) -> str:
-    """Of a bar."""
-    ends = value if isinstance(value, tuple) else (value,)
-    return "–".join(f"{end:.3g}" for end in ends if end is not None)
+    item: str
+    title: str
+    unit: str
+    labels: Sequence[str]
+    series: Mapping[str, Sequence[float | tuple[float, float] | None]]
 
 
 def curves(
@@ -196,4 +176,4 @@ COLOURS = (
     "#2da44e",
 )  # printed, printed method, corrected, reference
 
-Item = Row | Figure | Plot
+Item = Row | Figure | Plot | Bars

@@ -27,10 +27,10 @@ from arfx.reproduce.rows import (
     DIFFERS,
     HOLDS,
     REFERENCE,
+    Bars,
     Figure,
     Item,
     Row,
-    bars,
     row,
 )
 from arfx.reproduce.rows import CORRECTED as CORRECTED_PICTURE
@@ -320,7 +320,7 @@ def table_1(work: Work) -> Iterator[Item]:
     slow = "not every model reaches the printed rate on this machine"
     yield row("section 3, least frame rate", "8", least, "frames/s", slow, min(least) >= 8)
     labels = [f"{name}, {faces:,} faces" for name, (faces, *_) in TABLE_1.items()]
-    yield bars(
+    yield Bars(
         "table 1, apple, frame rate", "frame rate", "frames per second", labels, rates
     )
-    yield bars("table 1, apple, memory", "memory", "MB", labels, memory)
+    yield Bars("table 1, apple, memory", "memory", "MB", labels, memory)

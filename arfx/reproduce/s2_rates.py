@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from arfx.core.machine import usable_cores
 from arfx.papers import CORRECTED, PAPER
-from arfx.reproduce.rows import Item, Row, bars, row
+from arfx.reproduce.rows import Bars, Item, Row, row
 from arfx.reproduce.s2_scene import ball_model, moving_desk, moving_settings, room_model
 from arfx.reproduce.work import Timed, Work, frames_of, median_s
 
@@ -66,7 +66,7 @@ def rows(work: Work) -> Iterator[Item]:
         name: [virtual[k], augmented[k], augmented[k]]
         for k, name in enumerate(("printed method", "corrected"))
     }
-    yield bars("section 4, all-virtual scene", title, "fps", labels, series)
+    yield Bars("section 4, all-virtual scene", title, "fps", labels, series)
 
 
 def _of_dof(timed: dict[tuple[str, str], Timed], mode: str) -> str:

@@ -21,10 +21,10 @@ from arfx.reproduce.rows import (
     CORRECTED,
     PRINTED,
     REFERENCE,
+    Bars,
     Figure,
     Item,
     Row,
-    bars,
     row,
 )
 from arfx.reproduce.s4_mirror import mirrored_room
@@ -194,7 +194,7 @@ def rates(work: Work) -> Iterator[Item]:
     words, unit = "voxels in the memory of the graphics card", "MB of the whole process"
     yield row("memory", words, (printed.peak_mb, corrected.peak_mb), unit, why)
     stages = sorted({name for t in timed.values() for name in t.stage_s})
-    yield bars(
+    yield Bars(
         "frame rate",
         "time of a frame by stage",
         "ms",

@@ -16,7 +16,7 @@ from arfx.papers.s4_plane import real_and_virtual, real_scene, step1_mesh
 from arfx.papers.s4_shadow_maps import shadow_maps, step2_radiance
 from arfx.papers.s4_volumes import Volumes, octree_of, step2_volumes
 from arfx.papers.s4_voxels import Volume
-from arfx.reproduce.rows import Item, Row, bars, row
+from arfx.reproduce.rows import Bars, Item, Row, row
 from arfx.reproduce.s4_scenes import FLAT_LAMP, flat_scene, settings, under
 from arfx.reproduce.work import Work, shot_of
 from arfx.stages.gi.reference_scene import RayScene
@@ -201,7 +201,7 @@ def memory(work: Work) -> Iterator[Item]:
             printed[-1] < 0.2 * dense[-1],
         )
     series = {"arrays of all voxels": dense, "printed method": printed}
-    yield bars(
+    yield Bars(
         f"step 2, memory of the volumes at {sides[-1]}³ voxels",
         "a teapot",
         "MB",

@@ -7,7 +7,6 @@ from arfx.reproduce.rows import (
     HOLDS,
     UNDERIVED,
     Row,
-    bars,
     half_digit,
     row,
 )
@@ -49,16 +48,3 @@ def test_a_row_that_does_not_hold_says_why() -> None:
         row("a", "126.746", None, reason=" ")
     with pytest.raises(ValueError, match="not finite"):
         Row("a", 1.0, float("inf"), 1.0, verdict=HOLDS)
-
-
-def test_bars_draw_ranges_and_leave_out_what_is_not_known() -> None:
-    plot = bars(
-        "table 1",
-        "Rates",
-        "fps",
-        ["a", "b"],
-        {"printed": [(9, 13), None], "here": [4.0, 5.0]},
-    )
-    first = plot.figure.axes[0].patches[0]
-    assert (first.get_x(), first.get_width()) == (9, 4)
-    assert [t.get_text() for t in plot.figure.axes[0].texts] == ["9–13", "", "4", "5"]
