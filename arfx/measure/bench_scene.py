@@ -86,19 +86,16 @@ def bench_scene(
     covered : fraction of the picture that it covers;  model : another ball than the standard one
     """
     focal = 0.9 * max(width, height)
-    camera = Camera(
-        width,
-        height,
-        np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]]),
-    )
+    middle_x, middle_y = (width - 1) / 2, (height - 1) / 2
+    matrix = np.array([[focal, 0, middle_x], [0, focal, middle_y], [0, 0, 1.0]])
+    camera = Camera(width, height, matrix)
     model, marker = model or ball(), MarkerSpec("36h11", 0, 0.15)
     radius_px = np.sqrt(covered * width * height / np.pi)
     # a sphere's outline subtends asin(r / d): tan of it times the focal length is the
     # radius in the picture
     distance = _DIAMETER_M / 2 / np.sin(np.arctan(radius_px / focal))
-    rotation = rotation_from_euler_deg(180, 0, 0) @ rotation_from_euler_deg(
-        -_TILT_DEG, 0, 0
-    )
+    down, tilt = (rotation_from_euler_deg(turn, 0, 0) for turn in (180, -_TILT_DEG))
+    rotation = down @ tilt
     centre = np.array([0, 0, _DIAMETER_M / 2])
     pose = Pose(rotation, np.array([0, 0, distance]) - rotation @ centre)
     scene = Scene(
@@ -117,7 +114,5 @@ def bench_scene(
         opacity=1.0,
     )
     (facts,) = with_model([seen], scene)
-    plate = (
-        np.random.default_rng(0).uniform(0.05, 0.8, (height, width, 3)).astype(np.float32)
-    )
-    return BenchScene(scene, facts, plate)
+    plate = np.random.default_rng(0).uniform(0.05, 0.8, (height, width, 3))
+    return BenchScene(scene, facts, plate.astype(np.float32))

@@ -19,7 +19,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from arfx.core.cost import Prediction, Prices, sum_independent
+from arfx.core.cost import Prediction, sum_independent
 from arfx.core.layers import Layer
 from arfx.core.stage import Stage, level_named
 from arfx.core.waiting import Progress
@@ -34,7 +34,7 @@ from arfx.measure.tradeoff_pipelines import (
     level_sets,
     worth_showing,
 )
-from arfx.measure.tradeoff_time import Times
+from arfx.measure.tradeoff_time import Times, fast
 from arfx.plan.planner import new_terms
 from arfx.run.parameters import stages_of
 from arfx.run.planned import Job
@@ -107,22 +107,14 @@ class _Work:
         return frame.image(self.chain(frame, levels))
 
     def step_time(self, name: str, levels: Levels) -> Prediction:
-        """Of one step of a frame, upon what those before it make at fast levels."""
-        stages = self.stages(levels)
-        fast = {
-            n: at if n == name or (n, at) not in self.times.slow else stages[n].levels[-2]
-            for n, at in levels.items()
-        }
-        names = list(fast)
-        before = [(stages[n], fast[n]) for n in names[: names.index(name) + 1]]
-        return self.times.of(tuple(before), self.sampled)
+        """Of one step of a frame, upon what those before it make at their usual level."""
+        stages, names = self.stages(levels), list(levels)
+        before = [fast(stages[n], self.usual[n]) for n in names[: names.index(name)]]
+        return self.times.of((*before, (stages[name], levels[name])), self.sampled)
 
     def time(self, levels: Levels) -> Prediction:
         """Of all steps of a frame."""
-        usual = {n: self.usual[n] for n in levels}
-        return sum_independent(
-            self.step_time(n, {**usual, n: at}) for n, at in levels.items()
-        )
+        return sum_independent(self.step_time(n, levels) for n in levels)
 
     def slow_chains(self, frame: FrameRenderer, sets: Iterable[Levels]) -> set[Chain]:
         """The beginnings of these that end in a slow step."""
@@ -176,11 +168,6 @@ def _opened(job: Job, samples: Sequence[int], flicker: bool) -> _Work:
     names, next_one = steps[samples[0]], samples[0] + 1
     following = next_one if flicker and steps.get(next_one) == names else None
     stages, quality = job.stages, job.inputs.config.pipeline.quality
-    slow = frozenset(
-        (n, "reference")
-        for n, s in stages.items()
-        if "reference" in s.levels and _is_slow(n, job.prices)
-    )
     frames = open_frames(job, [*samples, *([] if following is None else [following])])
     whole = [replace(frames[i]) for i in samples]
     return _Work(
@@ -190,16 +177,8 @@ def _opened(job: Job, samples: Sequence[int], flicker: bool) -> _Work:
         following,
         {n: level_named(stages[n].levels, quality) for n in names},
         {n: stages[n].levels[-1] for n in names},
-        Times(whole, _new_light_fractions(job, names), slow),
+        Times(whole, _new_light_fractions(job, names)),
     )
-
-
-def _is_slow(stage: str, prices: Prices) -> bool:
-    """Whether the reference takes more than two seconds for a megapixel, or that is unknown."""
-    found = prices.predict(
-        f"{stage}/reference", {"frames": 1.0, "mpx": 1.0, "object_mpx": 0.2}
-    )
-    return found is None or found.seconds > 2.0
 
 
 def _new_light_fractions(job: Job, names: Sequence[str]) -> dict[str, float]:

@@ -15,7 +15,7 @@ import numpy as np
 from arfx.core.cost import Prediction
 from arfx.errors import RenderError
 from arfx.measure.difference import delta_e
-from arfx.measure.report_html import INK, PREDICTED, RAW, SMOOTH, drawing, png
+from arfx.measure.plots import INK, PREDICTED, RAW, SMOOTH, drawing, png
 from arfx.measure.tradeoff import Measurements
 from arfx.measure.tradeoff_pipelines import LEFT_OUT, QUALITIES, Row, front
 from arfx.run.folder import write

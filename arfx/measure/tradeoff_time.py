@@ -25,6 +25,7 @@ from arfx.plan.levels import sum_correlated
 LEAST_SPREAD = 0.08  # of log seconds: no machine repeats itself better
 OFTEN = 0.02  # fraction of frames under a new light from which on its cost is one of every frame
 ONCE_S = 3.0  # a run that took longer is not made again
+SLOW_S = 2.0  # a reference that takes longer over the whole is timed by its picture
 PROBE_PX, PROBE_S = 64, 0.5  # the least window, and a run that tells what a pixel costs
 
 
@@ -34,19 +35,22 @@ class Times:
 
     frames : whole;  new : by stage, fraction of the clip's frames under a light that was not
     met before
-    slow : (stage, level) that are timed in the window of their pictures alone
+    slow_s : of references, seconds by themselves and for a pixel more
     """
 
     frames: Sequence[FrameRenderer]
     new: Mapping[str, float]
-    slow: frozenset[tuple[str, str]]
     clock: Stopwatch = PROCESSOR
     whole: dict[Chain, Prediction] = field(default_factory=dict)
     slow_s: dict[tuple[str, str], tuple[float, float]] = field(default_factory=dict)
 
     def is_slow(self, chain: Chain) -> bool:
+        """Whether the last step's time is that of its picture."""
         stage, level = chain[-1]
-        return (stage.name, level) in self.slow
+        if level != "reference":
+            return False
+        alone, per_px = self.alone_and_per_px(chain)
+        return alone + per_px * planned(self.frames[0], stage).area > SLOW_S
 
     def of(self, chain: Chain, pictures: Sequence[FrameRenderer]) -> Prediction:
         """Seconds of the chain's last step, mean over the frames that have it.
@@ -82,13 +86,14 @@ class Times:
         return sum_independent(with_spread(seconds, LEAST_SPREAD) for seconds in parts)
 
     def alone_and_per_px(self, chain: Chain) -> tuple[float, float]:
-        """Seconds that a slow step takes by itself, and more of each pixel: in windows of one
-        frame, up to one that takes PROBE_S longer.
+        """Seconds that its last step takes by itself, and more of each pixel: in windows of
+        one frame, up to one that takes PROBE_S longer; upon fast levels.
         """
-        key = (chain[-1][0].name, chain[-1][1])
+        (stage, level), before = chain[-1], [fast(*step) for step in chain[:-1]]
+        key = (stage.name, level)
         if key not in self.slow_s:
             frame, area, per_px = self.frames[0], PROBE_PX, 0.0
-            run, whole = frame.run(chain), frame.plan.changed.area
+            run, whole = frame.run((*before, chain[-1])), frame.plan.changed.area
             few = window_of(frame.plan, frame.facts, frame.window, area)
             run(few)  # loads code, and makes what is kept for this light
             alone = seconds = self.clock.of(partial(run.rerun, few))
@@ -113,6 +118,12 @@ class Times:
         ends = sorted(alone + (frame.seconds[chain] - alone) * ratio for ratio in ratios)
         low, high = (with_spread(end, LEAST_SPREAD) for end in (ends[0], ends[-1]))
         return [Prediction(math.sqrt(ends[0] * ends[-1]), low.low_s, high.high_s)]
+
+
+def fast(stage: Stage, level: str) -> tuple[Stage, str]:
+    """The level, or the best one below a reference."""
+    best = level == "reference" and len(stage.levels) > 1
+    return stage, stage.levels[-2] if best else level
 
 
 def planned(frame: FrameRenderer, stage: Stage) -> Rect:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from arfx.measure.report_html import drawing
+from arfx.measure.plots import drawing
 
 HOLDS, DIFFERS, UNDERIVED = "holds", "differs, explained", "cannot be derived"
 VERDICTS = (HOLDS, DIFFERS, UNDERIVED)

@@ -77,10 +77,8 @@ def _keys(frames: int, fps: float = 24.0) -> str:
 
 def _turn(n: np.ndarray) -> np.ndarray:
     """(3,) degrees about fixed x, y, z that turn z into n by the shortest way."""
-    axis = np.cross([0.0, 0, 1], n)
-    length = np.linalg.norm(axis)
-    vector = axis / length * np.arctan2(length, n[2]) if length > 0 else np.zeros(3)
-    return np.asarray(Rotation.from_rotvec(vector).as_euler("xyz", degrees=True))
+    turn, _ = Rotation.align_vectors(n[None], np.array([[0.0, 0, 1]]))
+    return np.asarray(turn.as_euler("xyz", degrees=True))
 
 
 def _vector(v: np.ndarray) -> list[float]:

@@ -18,8 +18,6 @@ from arfx_cli.console import (
     say,
 )
 
-LEAST_SIDE_PX = 16
-
 
 def parse_size(text: str) -> tuple[int, int]:
     """'1280x720' to (1280, 720). Raises ConfigError."""
@@ -28,13 +26,7 @@ def parse_size(text: str) -> tuple[int, int]:
     m = re.fullmatch(r"\s*(\d{1,6})\s*[x×X]\s*(\d{1,6})\s*", text)
     if not m:
         raise ConfigError(f"size {text!r} is not WIDTHxHEIGHT", "for example 1280x720")
-    width, height = int(m[1]), int(m[2])
-    if min(width, height) < LEAST_SIDE_PX:
-        raise ConfigError(
-            f"size {text!r} is too small to measure",
-            f"at least {LEAST_SIDE_PX} px each way",
-        )
-    return width, height
+    return int(m[1]), int(m[2])
 
 
 @click.command()

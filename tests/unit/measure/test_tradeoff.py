@@ -256,14 +256,13 @@ def test_the_way_down_goes_by_error_per_second_over_all_effects_and_leaves_out_a
     ], "a larger part counts more"
 
 
-def work_of(frame: FrameRenderer, levels: Mapping[str, str], slow: bool = False) -> _Work:
-    """A tradeoff of one frame. slow : every reference is"""
+def work_of(frame: FrameRenderer, levels: Mapping[str, str]) -> _Work:
+    """A tradeoff of one frame."""
     params = {n: kind.Params() for n, kind in STAGES.items()}
     config = SimpleNamespace(params=params)
     inputs = SimpleNamespace(config=config, camera=frame.prepared.scene.camera)
     job: Any = SimpleNamespace(stages=frame.stages, inputs=inputs)
-    dear = frozenset((n, "reference") for n in levels if slow)
-    return _Work(job, [3], {3: frame}, None, levels, levels, Times([frame], {}, dear))
+    return _Work(job, [3], {3: frame}, None, levels, levels, Times([frame], {}))
 
 
 def stages_named(*names: str) -> Mapping[str, Stage]:
@@ -293,7 +292,7 @@ def test_pictures_are_as_large_as_the_references_leave_time_for(
         (None, 20.0, 0.5 * whole),
         (None, 1.0, whole),
     ):
-        work = work_of(frame, best, slow=True)
+        work = work_of(frame, best)
         if dear_s is not None:
             work.times.slow_s = {(n, "reference"): (dear_s, dear_s / whole) for n in best}
         _choose_windows(work, [best], asked)
@@ -309,7 +308,7 @@ def test_a_step_is_timed_upon_the_steps_before_it_that_are_not_left_out(
     upon: list[Chain] = []
     monkeypatch.setattr(Times, "of", lambda self, chain, pictures: upon.append(chain))
     frame = tiny_frame(stages_named("raster", "lightmap", "composite"))
-    work = work_of(frame, dict.fromkeys(frame.stages, "reference"), slow=True)
+    work = work_of(frame, dict.fromkeys(frame.stages, "reference"))
     work.step_time("composite", {"raster": "reference", "composite": "standard"})
     assert [(s.name, level) for s, level in upon[0]] == [
         ("raster", frame.stages["raster"].levels[-2]),

@@ -63,7 +63,7 @@ def test_a_window_tells_a_whole_frame_within_its_interval(
 ) -> None:
     s, stage, frame = slow_frame(rest_s)
     monkeypatch.setattr(steps, "PROCESSOR", Clock(stage))
-    times = Times([frame], {}, frozenset({("slow", "reference")}), Clock(stage))
+    times = Times([frame], {}, Clock(stage))
     chain = frame.chain({"slow": "reference"})
     alone, per_px = times.alone_and_per_px(chain)
     picture = replace(
@@ -82,7 +82,7 @@ def test_a_window_tells_a_whole_frame_within_its_interval(
 
 def test_what_is_fast_is_run_over_the_whole() -> None:
     _, stage, frame = slow_frame(2e-6)
-    times = Times([frame], {}, frozenset(), Clock(stage))
+    times = Times([frame], {}, Clock(stage))
     found = times.of(frame.chain({"slow": "draft"}), [])
     truth = 1e-3 * (ALONE_S + float(stage.seconds[frame.plan.changed.slices].sum()))
     assert found.seconds == pytest.approx(truth)
@@ -92,7 +92,7 @@ def test_a_light_that_is_new_in_every_other_frame_costs_half_of_what_it_takes() 
     found = []
     for new in (0.0, 0.5):
         _, stage, frame = slow_frame(2e-6)
-        times = Times([frame], {"slow": new}, frozenset(), Clock(stage))
+        times = Times([frame], {"slow": new}, Clock(stage))
         found.append(times.of(frame.chain({"slow": "draft"}), []).seconds)
     assert found[1] - found[0] == pytest.approx(0.5 * NEW_S * 1e-3, rel=0.01)
 

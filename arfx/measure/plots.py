@@ -1,10 +1,9 @@
-"""report.html of a job (the template of that name), and its plots."""
+"""Plots of the pages, and their style."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,26 +11,6 @@ import numpy as np
 from arfx.analyse.pose.visibility import jitter_px
 from arfx.core.camera import Camera
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
-from arfx.run.pages import render
-
-
-def page(
-    report: Mapping[str, Any],
-    facts: Sequence[FrameFacts],
-    before_after: Sequence[tuple[int, np.ndarray, np.ndarray]],
-    pose_plot: bytes,
-) -> str:
-    """The whole page. pose_plot : PNG"""
-    return render(
-        "measure/report.html",
-        clip=Path(str(report["input"]["path"])).name,
-        report=report,
-        times={f.index: f.time_s for f in facts},
-        pictures=before_after,
-        pose_plot=pose_plot,
-        colours=STATUS_COLOUR,
-    )
-
 
 INK = "#7d8590"  # readable on white and on nearly black
 RAW, SMOOTH, PREDICTED = "#d9822b", "#2f81f7", "#8b949e"
