@@ -26,7 +26,7 @@ LEAST_SPREAD = 0.08  # of log seconds: no machine repeats itself better
 OFTEN = 0.02  # fraction of frames under a new light from which on its cost is one of every frame
 ONCE_S = 3.0  # a run that took longer is not made again
 SLOW_S = 2.0  # a reference that takes longer over the whole is timed by its picture
-PROBE_PX, PROBE_S = 64, 0.5  # the least window, and a run that tells what a pixel costs
+PROBE_PX, PROBE_S = 64, 2.0  # the least window, and a run that tells what a pixel costs
 
 
 @dataclass

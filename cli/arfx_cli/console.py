@@ -228,8 +228,13 @@ def say_job(report: dict[str, Any]) -> None:
 
 
 def detail_job(report: dict[str, Any]) -> None:
+    detail_template("measure/job_detail.jinja", r=report)
+
+
+def detail_template(template: str, **values: Any) -> None:
+    """The lines of a template, which only --verbose shows."""
     if verbose():
         from arfx.run.pages import render
 
-        for line in render("measure/job_detail.jinja", r=report).splitlines():
+        for line in render(template, **values).splitlines():
             detail(line)
