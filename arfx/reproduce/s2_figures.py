@@ -22,8 +22,6 @@ from arfx.reproduce.rows import (
 )
 from arfx.reproduce.s2_scene import (
     BALL_M,
-    POINTS_M,
-    WALL_M,
     ball_model,
     desk,
     desk_shot,
@@ -54,7 +52,7 @@ def rows(work: Work) -> Iterator[Item]:
         GAUSSIAN: under(shot, "gaussian").picture(),
         PRINTED: shot.picture(),
         CORRECTED: under(shot, CORRECTED).picture(),
-        REFERENCE: photograph(work, scene),
+        REFERENCE: photograph(work),
     }
     photo = {REFERENCE: made[REFERENCE]}
     yield from _diagrams()
@@ -64,7 +62,8 @@ def rows(work: Work) -> Iterator[Item]:
     yield Figure("figure 4", "bright points spread over what is dark around them", photo)
     yield from _coordinates(shot, made[BEFORE], np.array(scene.shot[0].path.position_m))
     yield from _steps(shot, made)
-    yield from _points(shot, made)
+    points_m = np.array([ball.position_m for ball in scene.sphere[1:]])
+    yield from _points(shot, made, points_m)
     yield from _in_focus(shot, made[BEFORE])
     yield from _out_of_focus(shot, made)
     bare = work.clip(
@@ -199,10 +198,9 @@ def _without_gaussian(pictures: Pictures) -> Pictures:
     return {name: picture for name, picture in pictures.items() if name != GAUSSIAN}
 
 
-def _points(shot: Shot, made: Pictures) -> Iterator[Item]:
+def _points(shot: Shot, made: Pictures, points_m: np.ndarray) -> Iterator[Item]:
     """Figures 12 and 13: the Gaussian filter and the printed method, beside one another."""
-    ends = np.array([(x, WALL_M, z) for x, z in POINTS_M])
-    at = shot.job.scene.camera.project(shot.facts.pose.apply(ends))
+    at = shot.job.scene.camera.project(shot.facts.pose.apply(points_m))
     area = {name: _spread(picture, at) for name, picture in made.items()}
     words = {name: f"bright points of {px:.0f} px each" for name, px in area.items()}
     apart = _levels(made[GAUSSIAN], made[REFERENCE])
