@@ -81,12 +81,13 @@ def section_2_3() -> Iterator[Item]:
         dark,
     )
     coded = float(255 * SRGB.encode(dark.astype(float))[0, 0, 0])
-    why = (
-        "the paper does not say what a shadow takes. Here, by both formulas: a share of the"
-        " light, in linear light"
-    )
     yield row(
-        "section 2.3, half of the light on coded 200", None, (coded, coded), "of 255", why
+        "section 2.3, half of the light on coded 200",
+        None,
+        (coded, coded),
+        "of 255",
+        "the paper does not say what a shadow takes. Here, by both formulas: a share of the"
+        " light, in linear light",
     )
 
 
@@ -151,16 +152,13 @@ def equation_2(seeds: int) -> Iterator[Item]:
         found.append([255 * printed.bias[0], 255 * corrected.bias[0], *off])
     table = np.array(found)
     by, bc, ey, ec = (float(m) for m in np.median(table, 0))
-    spread = (
-        f" (10 to 90 % of clips: {np.percentile(table[:, 0], 10):.1f} to"
-        f" {np.percentile(table[:, 0], 90):.1f})"
-    )
     yield row(
         "equation (2), ρ as mean brightness: bias, true 12 of 255",
         f"{BIAS:.0f}",
         (by, bc),
         "of 255",
-        why + spread,
+        why + f" (10 to 90 % of clips: {np.percentile(table[:, 0], 10):.1f} to"
+        f" {np.percentile(table[:, 0], 90):.1f})",
     )
     yield row(
         "equation (2), ρ as mean brightness: largest error of the light's ratios",
@@ -200,10 +198,6 @@ def equations_5_6(seeds: int) -> Iterator[Item]:
     """The homogeneous system: solutions beside one another, and under noise."""
     grey, _ = clip(0)
     flat = RHO * np.full((25, 1), 120.0) + BIAS
-    lacks = (
-        "whatever the light does, a patch of one albedo cannot tell g, b and x apart."
-        " Corrected: it is said, and b = 0 assumed"
-    )
     cases = {
         "equation (5), one patch, 25 frames": (grey[:, :1], RHO[:1]),
         "equation (5), four patches of one albedo, 25 frames": (grey[:, :4], RHO[:4]),
@@ -219,7 +213,8 @@ def equations_5_6(seeds: int) -> Iterator[Item]:
             "1",
             (nullity, 1 if one else "refused"),
             "dimensions",
-            lacks,
+            "whatever the light does, a patch of one albedo cannot tell g, b and x apart."
+            " Corrected: it is said, and b = 0 assumed",
         )
     exact = 255 * eq6_smallest_vector(grey, RHO).bias
     corrected = 255 * float(solve(three(grey), None, RHO).bias[0])
@@ -240,25 +235,21 @@ def equations_5_6(seeds: int) -> Iterator[Item]:
         solved = solve(three(noisy), None, rho, tolerances=EXACT)
         found["corrected"] += [float(solved.bias[0])] * (solved.verdict == MEASURED)
     b = {k: float(np.median(v)) for k, v in found.items()}
-    why = (
-        "the noise is in the I column alone, so the vector is biased, and by the unit of"
-        " I. Corrected: g = 1, robust least squares, refused in"
-        f" {seeds - len(found['corrected'])} of {seeds} clips of 6 frames"
-    )
     for unit in ("255", "1"):
-        item = (
+        yield row(
             "equation (6), bias with noise of 2, true 12 of 255, albedos .45 to .55, I up"
-            f" to {unit}"
+            f" to {unit}",
+            f"{BIAS:.0f}",
+            (b[unit], b["corrected"]),
+            "of 255",
+            "the noise is in the I column alone, so the vector is biased, and by the unit of"
+            " I. Corrected: g = 1, robust least squares, refused in"
+            f" {seeds - len(found['corrected'])} of {seeds} clips of 6 frames",
         )
-        yield row(item, f"{BIAS:.0f}", (b[unit], b["corrected"]), "of 255", why)
 
 
 def equation_7() -> Iterator[Item]:
     """The update of the map."""
-    replaces = (
-        "f = 1 at the normal itself: the newest reading replaces all older ones. Corrected:"
-        " an update by precision"
-    )
 
     def seen(values: np.ndarray) -> np.ndarray:
         """(t, 2) printed and corrected map at a normal that shows these values (t,), one
@@ -289,22 +280,20 @@ def equation_7() -> Iterator[Item]:
         "M ← (1 − f) M + f x",
         left,
         "%",
-        replaces,
+        "f = 1 at the normal itself: the newest reading replaces all older ones. Corrected:"
+        " an update by precision",
     )
     newest = tuple(
         100 * float(np.mean(f(hemisphere(4) @ UP) >= 0.5))
         for f in (printed_weight, corrected_weight)
-    )
-    sudden = (
-        "as section 2.2 says, light that changes at once is not renewed at once; and (8)"
-        " lacks its square: see there"
     )
     yield row(
         "section 2.2, normals that one frame renews by half or more",
         "one",
         newest,
         "% of the hemisphere",
-        sudden,
+        "as section 2.2 says, light that changes at once is not renewed at once; and (8)"
+        " lacks its square: see there",
     )
 
 
@@ -319,7 +308,6 @@ def corrected_weight(cosine: np.ndarray) -> np.ndarray:
 def equation_8() -> Iterator[Item]:
     """The weight of a normal."""
     yield row("equation (8), s", "a blur constant", (S_RAD, S_RAD), "rad", NO_VALUE)
-    why = "the square of a Gaussian is missing in print: the weight has a cusp at 0"
     for angle_deg in (0, 1, 5, 10, 20, 30):
         cosine = np.cos(np.radians([angle_deg]))
         f = tuple(float(weight(cosine)[0]) for weight in (printed_weight, corrected_weight))
@@ -329,7 +317,7 @@ def equation_8() -> Iterator[Item]:
             "exp(−θ / (2 s²))",
             f,
             "",
-            why,
+            "the square of a Gaussian is missing in print: the weight has a cusp at 0",
             holds,
         )
     # nothing of the sphere is left out by cos(cos θ) > 0, half of it by cos θ > 0
@@ -338,16 +326,13 @@ def equation_8() -> Iterator[Item]:
         100 * float(np.mean(f == 0))
         for f in (eq8_weight(away, 2.0), corrected_weight(away))
     )
-    why = (
-        "the cosine of a cosine is never negative: the condition excludes nothing."
-        " Corrected: n·n' > 0"
-    )
     yield row(
         "equation (8), condition cos(n·n') > 0: directions behind that it excludes",
         "all",
         out,
         "%",
-        why,
+        "the cosine of a cosine is never negative: the condition excludes nothing."
+        " Corrected: n·n' > 0",
     )
     angles_deg = np.linspace(0, 40, 161)
     cosines = np.cos(np.radians(angles_deg))
@@ -431,13 +416,14 @@ def equation_9(seeds: int) -> Iterator[Item]:
         fit(np.repeat(normal[None], 20, 0), np.full((20, 3), 0.6)).verdict == MEASURED
         for normal in normals[:5]
     ]
-    why = (
-        "from one normal no direction can be known: the peak is the normal itself."
-        " Corrected: refused, another cue is taken"
-    )
     count = tuple((float(sum(map(len, single))), float(sum(claimed))))
     yield row(
-        "equation (9), a marker at rest, 50 normals: lights", "at a peak", count, "", why
+        "equation (9), a marker at rest, 50 normals: lights",
+        "at a peak",
+        count,
+        "",
+        "from one normal no direction can be known: the peak is the normal itself."
+        " Corrected: refused, another cue is taken",
     )
     five = np.concatenate(
         [UP[None], normalise(np.array([[1, 0, 1], [-1, 0, 1], [0, 1, 1], [0, -1, 1.0]]))]

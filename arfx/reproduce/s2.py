@@ -97,21 +97,35 @@ def _limits() -> Iterator[Item]:
         ends = {"(4)": [far - mm for mm in fronts], "(5)": [far + mm for mm in backs]}
         for name, places in ends.items():
             circles = [float(circle_of_confusion_mm(place, lens)) for place in places]
-            item = f"equation {name}{of}, circle (3) at this limit"
-            yield row(item, f"{C}", circles, "mm", why, tolerance=1e-9)
+            yield row(
+                f"equation {name}{of}, circle (3) at this limit",
+                f"{C}",
+                circles,
+                "mm",
+                why,
+                tolerance=1e-9,
+            )
     fronts, backs = _sharp_mm(LENS)
     parts, true_parts = (a + b for a, b in zip(fronts, backs, strict=True))
     totals = eq6_total(N, C, L, F), depth_of_field(LENS, C).total_mm
-    why = (
+    yield row(
+        "equation (6)",
+        "ΔL1 + ΔL2",
+        totals,
+        "mm",
         "L in the denominator is not squared, the dimensions do not match; the sum of (4)"
-        f" and (5) is {parts:.4f}, and by (3) {true_parts:.4f}"
+        f" and (5) is {parts:.4f}, and by (3) {true_parts:.4f}",
     )
-    yield row("equation (6)", "ΔL1 + ΔL2", totals, "mm", why)
     squared = 2 * F**2 * N * C * L**2 / (F**4 - (N * C * L) ** 2)
     yield _same("equation (6), L squared", "ΔL1 + ΔL2", squared, parts, 1e-12)
     here, true_mm = hyperfocal(N, C, F), depth_of_field(LENS, C).hyperfocal_mm
-    why = f"{L_LESS_F}; (5) has its pole there"
-    yield row("equation (5), hyperfocal distance", "F²/(N C)", (here, true_mm), "mm", why)
+    yield row(
+        "equation (5), hyperfocal distance",
+        "F²/(N C)",
+        (here, true_mm),
+        "mm",
+        f"{L_LESS_F}; (5) has its pole there",
+    )
     beyond = Lens(F, N, 2 * true_mm)
     px_per_dioptre = 1e-3 * beyond.coc_mm_per_dioptre
     at = replace(AT, focus=1e3 / beyond.focus_mm, px_per_dioptre=px_per_dioptre)
@@ -120,12 +134,14 @@ def _limits() -> Iterator[Item]:
         "not defined" if mm is None else "infinite" if math.isinf(mm) else f"{mm:g}"
         for mm in (printed_limits(beyond, C).back_mm, depth_of_field(beyond, C).back_mm)
     ]
-    why = (
+    yield row(
+        "equation (5), beyond the hyperfocal distance",
+        "NCL²/(F² - NCL)",
+        words,
+        "",
         f"negative in print. As a dioptre its limit is {least:.4f} / m, below that of"
-        " infinity: all behind is inside"
+        " infinity: all behind is inside",
     )
-    item = "equation (5), beyond the hyperfocal distance"
-    yield row(item, "NCL²/(F² - NCL)", words, "", why)
 
 
 def _example() -> Iterator[Item]:
@@ -152,20 +168,27 @@ def _example() -> Iterator[Item]:
     near, far = [(L - mm) / 1e3 for mm in fronts], [(L + mm) / 1e3 for mm in backs]
     yield row(f"{of}sharp from", "2.4413", near, "m", L_LESS_F)
     yield row(f"{of}sharp to", "2.5616", far, "m", L_LESS_F)
-    why = (
+    yield row(
+        f"{of}depth of field of the composited scene",
+        "126.746",
+        None,
+        "mm",
         f"follows from none of the formulas: (4) + (5) is {fronts[0] + backs[0]:.3f} mm,"
         f" (6) {eq6_total(N, C, L, F):.3f} mm; it"
-        " is said to come from the camera's matrix, which is not stated"
+        " is said to come from the camera's matrix, which is not stated",
     )
-    yield row(f"{of}depth of field of the composited scene", "126.746", None, "mm", why)
-    why = "its elements are not known"
-    yield row(f"{of}matrix of the camera", "found by OpenCV", None, "", why)
+    yield row(
+        f"{of}matrix of the camera",
+        "found by OpenCV",
+        None,
+        "",
+        "its elements are not known",
+    )
     distance = np.linspace(2350, 2680, 400)
     circle = np.array([eq3_circle(F, N, L, d) for d in distance])
     apart = float(np.abs(circle - circle_of_confusion_mm(distance, LENS)).max())
     words = f"circles of 0 to {circle.max():.3f} mm", f"{apart:.0e} mm apart from them"
-    found = "circle of a point beside the focus"
-    yield row("figure 3", found, words, "", "", apart < 1e-9)
+    yield row("figure 3", "circle of a point beside the focus", words, "", "", apart < 1e-9)
     plot = curves(
         "figure 3",
         "circle of confusion and depth of field: N = 11, F = 200 mm, L = 2500 mm",
@@ -186,44 +209,59 @@ def _blur_factor() -> Iterator[Item]:
         "rises" if (np.diff(f) <= 0).all() else "does not rise"
         for f in (blur_factor(far, (0.0, 2.0), AT), AT.radius_px(far))
     ]
-    item = "section 3, blur with distance from the focus"
-    yield row(item, "rises", rises, "", "not everywhere")
+    yield row(
+        "section 3, blur with distance from the focus", "rises", rises, "", "not everywhere"
+    )
     a = blur_factor(np.array([0.0, 1e3 / L, 50.0]), (0.1, 2.0), AT)
-    span = f"{a.min():g} to {a.max():g}"
-    yield row("section 3.4, range of α", "0 to 1", span, "", "outside of it")
+    yield row(
+        "section 3.4, range of α",
+        "0 to 1",
+        f"{a.min():g} to {a.max():g}",
+        "",
+        "outside of it",
+    )
     words, why = (
         "dioptres, 0 to 1 / z_near",
         "1 / z has no largest distance: what is infinitely far has a place",
     )
     yield row("section 3.2, depth = z / z_far", "0 to 1", (words, words), "", why)
     infinite = float(blur_factor(np.array([0.0]), (0.0, 20.0), AT)[0])
-    times = f"{LENS.coc_at_infinity_mm / C:.0f} × the permitted circle"
-    why = (
+    yield row(
+        "section 3.2, a of infinity, near plane at 50 mm",
+        "c / max(c_near, c_far)",
+        (infinite, f"{LENS.coc_at_infinity_mm / C:.0f} × the permitted circle"),
+        "",
         "C_near of a plane at 50 mm is so large that all else seems sharp: a depends on"
-        " planes that nobody sees"
+        " planes that nobody sees",
     )
-    item = "section 3.2, a of infinity, near plane at 50 mm"
-    yield row(item, "c / max(c_near, c_far)", (infinite, times), "", why)
     one = [
         float(blur_factor(np.array([1e3 / OTHER]), (1 / z, 0.5), AT)[0])
         for z in (6.0, 1000.0)
     ]
-    same = f"{float(circle_of_confusion_mm(OTHER, LENS)):.4f} mm with both"
-    why = "one thing's blur changes with the far plane"
-    ours = f"{one[0]:.3f} with z_far = 6 m, {one[1]:.3f} with 1000 m"
-    yield row("section 3.2, a of a thing at 5 m", "one value", (ours, same), "", why)
+    yield row(
+        "section 3.2, a of a thing at 5 m",
+        "one value",
+        (
+            f"{one[0]:.3f} with z_far = 6 m, {one[1]:.3f} with 1000 m",
+            f"{float(circle_of_confusion_mm(OTHER, LENS)):.4f} mm with both",
+        ),
+        "",
+        "one thing's blur changes with the far plane",
+    )
     wide, place = replace(AT, px_per_dioptre=AT.px_per_dioptre * N / 2), np.array([0.2])
     ratio = float(
         (blur_factor(place, (0.0, 0.5), wide) / blur_factor(place, (0.0, 0.5), AT))[0]
     )
     circle = circle_of_confusion_mm(OTHER, LENS)
     true = float(circle_of_confusion_mm(OTHER, Lens(F, 2.0, L)) / circle)
-    why = (
+    yield row(
+        "section 3.2, blur at f/2 over that at f/11",
+        "from focal length and f-number",
+        (ratio, true),
+        "",
         "F and N cancel in a: an open and a closed aperture blur alike, but for the limits"
-        " (4) and (5)"
+        " (4) and (5)",
     )
-    item = "section 3.2, blur at f/2 over that at f/11"
-    yield row(item, "from focal length and f-number", (ratio, true), "", why)
 
 
 def _luminance() -> Iterator[Item]:
@@ -240,8 +278,14 @@ def _luminance() -> Iterator[Item]:
     more = around[around > 100] - 100
     expected = float((more / more.sum() * around[around > 100]).sum())
     same = math.isclose(result, expected, rel_tol=1e-5)
-    item = "equation (8), 100 among 100, 120, 90, 180, 100, 60, 100, 140"
-    yield row(item, "weights 20/140, 80/140, 40/140", result, "", "", same)
+    yield row(
+        "equation (8), 100 among 100, 120, 90, 180, 100, 60, 100, 140",
+        "weights 20/140, 80/140, 40/140",
+        result,
+        "",
+        "",
+        same,
+    )
     darker = np.full((3, 3, 3), 50, np.float32)
     darker[1, 1] = 100
     kept = float(eq8_bleed(darker, flat)[1, 1, 0])
@@ -250,12 +294,13 @@ def _luminance() -> Iterator[Item]:
     dot[4, 4] = 1
     made = float(eq8_bleed(dot, np.ones((9, 9), np.float32))[..., 0].sum())
     disc = float(DISC_ROWS.sum())
-    why = (
-        "each neighbour takes the white pixel's whole value: light is made from nothing,"
-        " and reaches one pixel. A disc keeps it"
-    )
     yield row(
-        "equation (8), light of one white pixel", 1.0, (made, disc), "white pixels", why
+        "equation (8), light of one white pixel",
+        1.0,
+        (made, disc),
+        "white pixels",
+        "each neighbour takes the white pixel's whole value: light is made from nothing,"
+        " and reaches one pixel. A disc keeps it",
     )
 
 
@@ -283,10 +328,17 @@ def _blocks() -> Iterator[Item]:
         for n in range(1, 64, 2)
         if len(PrintedDof(PrintedDofParams(mean_px=n)).weights) // 2 + 1 <= halo
     )
-    why = "not stated; the block holds 4 px around its own, of which (8) takes one"
-    usual = f"{PrintedDofParams().mean_px} px, at most {largest} px"
-    words = usual, "discs of the blur circle"
-    yield row("section 3.3, size of the mean filter", None, words, "", why)
+    words = (
+        f"{PrintedDofParams().mean_px} px, at most {largest} px",
+        "discs of the blur circle",
+    )
+    yield row(
+        "section 3.3, size of the mean filter",
+        None,
+        words,
+        "",
+        "not stated; the block holds 4 px around its own, of which (8) takes one",
+    )
 
 
 def _blend() -> Iterator[Item]:
@@ -298,17 +350,14 @@ def _blend() -> Iterator[Item]:
     picture = np.repeat(np.repeat(step[None, :, None], 3, 0), 3, 2)
     half = eq9_blend(np.full((3, 8), 0.5), np.full_like(picture, 0.5), picture)
     left = float(np.abs(np.diff(half[1, :, 0])).max())
-    why = (
-        "half of the edge stays as sharp as before; a disc of 3 px steps by no more than"
-        " one of its rows holds"
-    )
     disc = float(DISC_ROWS.max())
     yield row(
         "equation (9), sharp edge left at α = 1/2",
         "weighted mean",
         (left, disc),
         "of the step",
-        why,
+        "half of the edge stays as sharp as before; a disc of 3 px steps by no more than"
+        " one of its rows holds",
     )
     sharp = sharp_range(AT, F, C)
     inside = float(within_depth_of_field(np.array([AT.focus]), sharp, 0.5)[0])
@@ -327,13 +376,14 @@ def _blend() -> Iterator[Item]:
         float(np.abs(np.diff(within_depth_of_field(places, sharp, border))).max())
         for border in (0.5, 0.0)
     ]
-    why = f"a hard border would be a step of {steps[1]:.2f}"
-    words = f"no step (at most {steps[0]:.4f} from one of 4000 places to the next)"
     yield row(
         "section 3.4, border of the depth of field",
         "smooth",
-        (words, "no border"),
+        (
+            f"no step (at most {steps[0]:.4f} from one of 4000 places to the next)",
+            "no border",
+        ),
         "",
-        why,
+        f"a hard border would be a step of {steps[1]:.2f}",
         steps[0] < 0.01,
     )

@@ -83,13 +83,13 @@ def rows(work: Work) -> Iterator[Item]:
 
 def _diagrams() -> Iterator[Item]:
     order = ", ".join(name for name in STAGES if name in ("raster", "composite", "dof"))
-    why = (
-        "input devices, communication and display are no part of a program that processes"
-        " recorded clips"
-    )
-    parts = "capture, virtual scene, interaction, communication, display"
     yield row(
-        "figure 1", parts, ("clip, analysis, " + order, "clip, analysis, " + order), "", why
+        "figure 1",
+        "capture, virtual scene, interaction, communication, display",
+        ("clip, analysis, " + order, "clip, analysis, " + order),
+        "",
+        "input devices, communication and display are no part of a program that processes"
+        " recorded clips",
     )
     ends = order.endswith("composite, dof")
     yield row(
@@ -117,11 +117,14 @@ def _coordinates(shot: Shot, picture: np.ndarray, camera_m: np.ndarray) -> Itera
         "axes from a marker; the camera is"
         f" {1e3 * np.linalg.norm(facts.pose.inverse().translation_m - camera_m):.1f} mm off"
     )
-    why = (
+    yield row(
+        "figure 5",
+        "axes from feature points",
+        (found, found),
+        "",
         "found from a marker, whose size makes it metric; which feature points the authors"
-        " tracked is not stated"
+        " tracked is not stated",
     )
-    yield row("figure 5", "axes from feature points", (found, found), "", why)
     yield Figure(
         "figure 5", "axes of the world", {"x red, y green, z blue; 8 cm each": drawn}
     )
@@ -139,14 +142,11 @@ def _steps(shot: Shot, made: Pictures) -> Iterator[Item]:
     coded = SRGB.encode(now[Layer.IMAGE]).astype(np.float32)
     blurred = _bytes(stage.blurred(coded, dioptre))
     luminance = coded @ yuv_from_rgb("bt601")[0]
-    span = (
-        f"depth {1 / dioptre.max():.2f}-{1 / dioptre.min():.2f} m, blur factor"
-        f" {a.min():.2f}-{a.max():.2f}, luminance"
-    )
     yield row(
         "figure 6",
         "depth with blur factor; luminance",
-        span,
+        f"depth {1 / dioptre.max():.2f}-{1 / dioptre.min():.2f} m, blur factor"
+        f" {a.min():.2f}-{a.max():.2f}, luminance",
         "",
         "",
         bool(0 <= a.min() <= a.max() <= 1),
@@ -182,13 +182,16 @@ def _steps(shot: Shot, made: Pictures) -> Iterator[Item]:
     sharp, printed, corrected = (
         _levels(made[name], made[REFERENCE]) for name in (BEFORE, PRINTED, CORRECTED)
     )
-    why = (
+    values = [f"{x:.1f} grey levels from the photograph" for x in (printed, corrected)]
+    yield row(
+        "figure 11",
+        "like a camera",
+        values,
+        "",
         f"without blur it is {sharp:.1f} away. The printed filter has one size, here 7 px,"
         " and its blend keeps the sharp picture below the blurred one; the open lens makes"
-        " discs that grow with the distance"
+        " discs that grow with the distance",
     )
-    values = [f"{x:.1f} grey levels from the photograph" for x in (printed, corrected)]
-    yield row("figure 11", "like a camera", values, "", why)
     yield Figure(
         "figure 11", "sharp and blurred picture blended by (9)", _without_gaussian(made)
     )
@@ -267,13 +270,16 @@ def _out_of_focus(shot: Shot, made: Pictures) -> Iterator[Item]:
             share = _steepest(picture, *where) / _steepest(before, *where)
             kept[name].append(f"{ball} {100 * share:.0f} %")
     words = {name: ", ".join(of) for name, of in kept.items()}
-    why = (
+    found = [f"outline keeps: {words[name]}" for name in (PRINTED, CORRECTED)]
+    yield row(
+        "figure 15",
+        "both balls blurred alike",
+        found,
+        "",
         f"of its steepness a ball's outline keeps in the photograph: {words[REFERENCE]}."
         " As printed outlines stay, since what stands in front does not flow into what is"
-        " behind, and the sharp picture shows through the blend"
+        " behind, and the sharp picture shows through the blend",
     )
-    found = [f"outline keeps: {words[name]}" for name in (PRINTED, CORRECTED)]
-    yield row("figure 15", "both balls blurred alike", found, "", why)
     height, width = before.shape[:2]
     part = np.s_[
         int(0.4 * height) : int(0.85 * height), int(0.1 * width) : int(0.7 * width)

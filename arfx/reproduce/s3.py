@@ -48,8 +48,14 @@ def rows(work: Work) -> Iterator[Item]:
 def frame_rows(frame: Shown) -> Iterator[Item]:
     seen = [name for name, where in frame.objects().items() if where.any()]
     item, words = "figure 3, AR frame", f"{', '.join(seen)}, from one model file"
-    found = "virtual objects in the camera's frame"
-    yield row(item, found, (words, words), "", "", seen == list(OBJECTS))
+    yield row(
+        item,
+        "virtual objects in the camera's frame",
+        (words, words),
+        "",
+        "",
+        seen == list(OBJECTS),
+    )
     pictures = {"camera": frame.real, BEFORE: frame.image}
     yield Figure(item, "what both methods are given", pictures)
 
@@ -68,18 +74,32 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
         "m and n", "settings; 0 = cells of cell_px", "cell_px, for cells of any density"
     )
     shares = [measure.rectangles_with_site(s, rect, m, n) for s, _ in both]
-    why = (
+    yield row(
+        "equation (1), a site in each of m × n rectangles",
+        "1",
+        shares,
+        "share of the rectangles",
         "corrected sites are those of a nested grid that moves with the things: as many,"
-        " one to a rectangle in the mean alone"
+        " one to a rectangle in the mean alone",
+        tolerance=1e-9,
     )
-    item = "equation (1), a site in each of m × n rectangles"
-    yield row(item, "1", shares, "share of the rectangles", why, tolerance=1e-9)
-    item = "equation (1), every site in its own cell"
     shares = [measure.own_cell_share(s) for s, _ in both]
-    yield row(item, "1", shares, "share of sites", tolerance=1e-9)
+    yield row(
+        "equation (1), every site in its own cell",
+        "1",
+        shares,
+        "share of sites",
+        tolerance=1e-9,
+    )
     away = [measure.farthest(s, found) / np.hypot(w, h) for s, found in both]
-    item = "equation (1), farthest pixel from its site"
-    yield row(item, "at most 1", away, "diagonal of a rectangle", "", max(away) <= 1)
+    yield row(
+        "equation (1), farthest pixel from its site",
+        "at most 1",
+        away,
+        "diagonal of a rectangle",
+        "",
+        max(away) <= 1,
+    )
 
     item = "figure 2, Voronoi diagram"
     yield row(f"{item}, polygons", str(m * n), float(len(np.unique(labels))))
@@ -87,27 +107,40 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
     yield row(item, "1", shares, "share of cells that are convex", tolerance=1e-9)
     yield Figure(item, "each cell in a colour by chance", _templates(labels, own))
     shares = [measure.nearest_share(s, found[:64, :96]) for s, found in both]
-    item = "section 3.1.2, cones give Voronoi cells"
-    yield row(item, "1", shares, "share of pixels with the nearest site", tolerance=1e-9)
+    yield row(
+        "section 3.1.2, cones give Voronoi cells",
+        "1",
+        shares,
+        "share of pixels with the nearest site",
+        tolerance=1e-9,
+    )
 
     grey = np.full(frame.image.shape, 0.5, np.float32)
     _, even = paper.named_by_colour(grey, labels, sites, rect)
     _, many = paper.named_by_colour(frame.image, labels, sites, rect)
-    why = (
-        f"equal colours collide: {m * n} cells have {many} names in the frame and {even} on"
-        " an even picture; corrected: integers"
-    )
     numbers = len(np.unique(ours.key)) / len(ours)
-    item = "section 3.1.2, a cell is known by the colour at its site"
-    yield row(item, "unique", (many / (m * n), numbers), "names per cell", why)
+    yield row(
+        "section 3.1.2, a cell is known by the colour at its site",
+        "unique",
+        (many / (m * n), numbers),
+        "names per cell",
+        f"equal colours collide: {m * n} cells have {many} names in the frame and {even} on"
+        " an even picture; corrected: integers",
+    )
 
     item, errors = "figure 4, cells in their mean colour", []
     for found, image in ((labels, frame.image), (own, frame.layers[Layer.IMAGE])):
         exact, area = measure.exact_means(image, found)
         mean = mean_colours(image, [found], len(area))[0]
         errors.append(float(255 * np.abs(mean - exact)[area > 0].max()))
-    unit = "grey levels off it at most"
-    yield row(item, "the mean of the cell's pixels", errors, unit, "", max(errors) < 0.01)
+    yield row(
+        item,
+        "the mean of the cell's pixels",
+        errors,
+        "grey levels off it at most",
+        "",
+        max(errors) < 0.01,
+    )
     made = frame.painted(printed(frame, toon=False, line_threshold=2.0))
     flat = frame.painted(corrected(cell_px=scene.CELL_PX, toon=False, **FLAT))
     pictures = {BEFORE: frame.image, PRINTED: made, CORRECTED: flat}
@@ -118,17 +151,19 @@ def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
     """3.1.2: the depth buffer decides the cones' size."""
     depth, by_cones, by_density = measure.areas_on_plane(8, work.scaled(10, 2))
     area, covered, equal = measure.small_thing(work.scaled(40, 10))
-    why = (
+    item = "section 3.1.2, nearer is finer"
+    ratios = [float(areas[-1] / areas[0]) for areas in (by_cones, by_density)]
+    yield row(
+        item,
+        "nearer is finer",
+        ratios,
+        f"area of a cell of a plane at {depth[-1]:.2f} m / at {depth[0]:.2f} m",
         "m × n sites are spread evenly, and the size of cones moves the borders between"
         " near and far alone: a disc five cells wide, at .25 m before a wall at 2 m, has"
         f" cells of {area:.2f} of the wall's area, and the wall's cells cover {covered:.0%}"
         f" of it ({equal:.0%} with equal cones). Corrected: the density of the sites"
-        " follows the depth"
+        " follows the depth",
     )
-    item = "section 3.1.2, nearer is finer"
-    unit = f"area of a cell of a plane at {depth[-1]:.2f} m / at {depth[0]:.2f} m"
-    ratios = [float(areas[-1] / areas[0]) for areas in (by_cones, by_density)]
-    yield row(item, "nearer is finer", ratios, unit, why)
     yield curves(
         item,
         "cells on a plane",
@@ -139,12 +174,15 @@ def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
     buffer, labels = measure.printed_cells(frame)
     own = measure.corrected_cells(frame)
     shares = [measure.convex_share(found) for found in (labels, own)]
-    why = (
-        "borders between cones of two sizes are arcs; corrected cells are power cells,"
-        " which are polygons"
-    )
     item = "section 3.1.2, polygons with cones of many sizes"
-    yield row(item, "convex", shares, "share of cells that are convex", why)
+    yield row(
+        item,
+        "convex",
+        shares,
+        "share of cells that are convex",
+        "borders between cones of two sizes are arcs; corrected cells are power cells,"
+        " which are polygons",
+    )
     pictures = {"depth buffer": buffer, **_templates(labels, own)}
     yield Figure(item, "cells by depth", pictures)
     yield _not_stated(
@@ -165,8 +203,12 @@ def toon_rows(frame: Shown) -> Iterator[Item]:
     hard = paper.toon(one, normal, up, p.toon_thresholds, p.toon_factors)[0, :, 0]
     soft = tones(cosine, c.toon_thresholds, c.toon_factors)
     low, high = zip(*(_thresholds(kind, cosine) for kind in (hard, soft)), strict=True)
-    why = "the line with the first `if` is missing"
-    yield _not_stated("toon listing, first threshold", high[0], high[1], why)
+    yield _not_stated(
+        "toon listing, first threshold",
+        high[0],
+        high[1],
+        "the line with the first `if` is missing",
+    )
     yield row("toon listing, second threshold", "0.2", low, "n · l")
     for name, text, at in (
         ("first", "1", 1.0),
@@ -175,11 +217,17 @@ def toon_rows(frame: Shown) -> Iterator[Item]:
     ):
         k = int(np.searchsorted(cosine, at - 1e-9))
         values = [float(kind[k]) for kind in (hard, soft)]
-        item = f"toon listing, {name} tone"
-        yield row(item, text, values, "of the colour", tolerance=1e-4)
-    why = f"corrected, a step is a ramp of {RAMP:g} in n · l, so that it does not crawl"
+        yield row(
+            f"toon listing, {name} tone", text, values, "of the colour", tolerance=1e-4
+        )
     counts = [float(len(np.unique(tones.round(4)))) for tones in (hard, soft)]
-    yield row("toon listing, discrete intensities", "3", counts, "tones", why)
+    yield row(
+        "toon listing, discrete intensities",
+        "3",
+        counts,
+        "tones",
+        f"corrected, a step is a ramp of {RAMP:g} in n · l, so that it does not crawl",
+    )
 
     where, words, more = np.any(list(frame.objects().values()), axis=0), [], []
     smooth = float(measure.printed_edges(frame.image, p)[where].mean())
@@ -206,23 +254,24 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
     yield _not_stated(
         "equation (4), threshold", p.line_threshold, f"{c.line_low:g} to {c.line_high:g}"
     )
-    why = (
-        "near a hard threshold noise decides; corrected lines come from a smoothed picture,"
-        " with hysteresis and a ramp"
-    )
-    item = "equation (4), pixels of an edge that flip"
     flips = measure.flips(work.scaled(12, 4))
-    unit = "share from frame to frame, noise 2/255, at the worst contrast"
-    yield row(item, "an edge, or none", flips, unit, why)
+    yield row(
+        "equation (4), pixels of an edge that flip",
+        "an edge, or none",
+        flips,
+        "share from frame to frame, noise 2/255, at the worst contrast",
+        "near a hard threshold noise decides; corrected lines come from a smoothed picture,"
+        " with hysteresis and a ramp",
+    )
 
     item, toon_shaded = "figure 5, edges of the frame", frame.toon_shaded(printed(frame))
     edges, lines = measure.printed_edges(toon_shaded, p), measure.corrected_lines(frame)
-    why = (
-        "what stands before nearly its own colour is below the threshold; corrected, the"
-        " object's layers are looked at too"
-    )
     outlines = {
-        f"outline of the {name}": (measure.outline(where), why)
+        f"outline of the {name}": (
+            measure.outline(where),
+            "what stands before nearly its own colour is below the threshold; corrected, the"
+            " object's layers are looked at too",
+        )
         for name, where in frame.objects().items()
     }
     why = (
@@ -232,8 +281,14 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
     outlines["outlines of real things"] = frame.real_outlines(), why
     for name, (where, why) in outlines.items():
         found = [measure.share_near(where, seen) for seen in (edges, lines > DRAWN)]
-        unit = "share of it with an edge within 2 px"
-        yield row(f"{item}, {name}", "found", found, unit, why, min(found) > 0.95)
+        yield row(
+            f"{item}, {name}",
+            "found",
+            found,
+            "share of it with an edge within 2 px",
+            why,
+            min(found) > 0.95,
+        )
     black = [float(seen.mean()) for seen in (edges, lines > DRAWN)]
     words, unit = "outlines of virtual and real things", "share of the frame's pixels"
     yield row(item, words, black, unit, "", min(black) > 0)
@@ -269,11 +324,14 @@ def picture_rows(frame: Shown) -> Iterator[Item]:
     ours = frame.painted(corrected())
     change = [float(255 * np.abs(a - frame.image).mean()) for a in (made, ours)]
     item = "figure 7, watercolour of the frame"
-    why = (
+    yield row(
+        item,
+        "real and virtual agree",
+        change,
+        "grey levels",
         "the paper has no measure of how well real and virtual agree; the values are how"
-        " much the frame has changed in the mean"
+        " much the frame has changed in the mean",
     )
-    yield row(item, "real and virtual agree", change, "grey levels", why)
     pictures = {BEFORE: frame.image, PRINTED: made, CORRECTED: ours}
     yield Figure(item, "the result", pictures)
 
@@ -286,13 +344,6 @@ def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
         ("cells", {"toon": False, "line_threshold": 2.0}, {"toon": False, **FLAT}),
         ("whole picture", {}, {"grain": 0.0}),
     )
-    at_rest = (
-        "new random numbers in every frame; corrected sites are a hash of (seed, cell)"
-    )
-    in_pan = (
-        "even fixed on the screen, cells let the picture swim; corrected ones move with the"
-        " things"
-    )
     for name, *settings in cases:
         still = measure.still_frames(frame, frames, *settings)
         item, unit = (
@@ -300,25 +351,40 @@ def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
             "squared error {}, noise 2/255",
         )
         errors = [measure.mean_squared(made) for made in still]
-        yield row(item, "good", errors, unit.format("between frames"), at_rest)
+        yield row(
+            item,
+            "good",
+            errors,
+            unit.format("between frames"),
+            "new random numbers in every frame; corrected sites are a hash of (seed, cell)",
+        )
         change = {
             f"change, {kind}": 8 * abs(made[1] - made[0])
             for kind, made in zip((PRINTED, CORRECTED), still, strict=True)
         }
         yield Figure(item, "change from a frame to the next, × 8", change)
         errors = measure.pan_errors(frame.scene, frames, *settings)
-        item = f"section 2, coherence in a pan, {name}"
-        yield row(item, "good", errors, unit.format("along the motion"), in_pan)
+        yield row(
+            f"section 2, coherence in a pan, {name}",
+            "good",
+            errors,
+            unit.format("along the motion"),
+            "even fixed on the screen, cells let the picture swim; corrected ones move with the"
+            " things",
+        )
     rates = [
         1 / median_s(partial(frame.paint_anew, frame.ready(stage)), work.scaled(5, 1))
         for stage in (printed(frame), corrected())
     ]
     rect = frame.layers.rect
-    why = (
+    yield row(
+        "section 2, speed",
+        "real time",
+        rates,
+        "frames/s",
         "no rate, size or machine is printed; the values are of the stage alone, at"
-        f" {rect.width} × {rect.height} on a processor"
+        f" {rect.width} × {rect.height} on a processor",
     )
-    yield row("section 2, speed", "real time", rates, "frames/s", why)
 
 
 def _not_stated(

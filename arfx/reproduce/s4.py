@@ -141,10 +141,6 @@ def environment() -> Iterator[Row]:
     colours = np.random.default_rng(3).uniform(0.1, 0.9, (3, 3, 3))
     image = np.kron(colours, np.ones((40, 60, 1)))
     printed, corrected = step3_environment(image, SIDE), cube_from_picture(image, SIDE)
-    why = (
-        "the angle from the line of sight is the distance from the picture's middle, so"
-        " that no edge of the cube shows as a seam"
-    )
     faces = (
         ("(31), right of the picture on +x", 0, (1, 2)),
         ("(31), left of the picture on -x", 1, (1, 0)),
@@ -160,7 +156,8 @@ def environment() -> Iterator[Row]:
             "that part of the picture",
             off,
             "at most off, of 1",
-            why,
+            "the angle from the line of sight is the distance from the picture's middle, so"
+            " that no edge of the cube shows as a seam",
             max(off) < 1e-6,
         )
     mipmap = step3_mipmap(step3_environment(image, FACE_PX))
@@ -181,9 +178,8 @@ def environment() -> Iterator[Row]:
         float(np.ptp(f(np.full((90, 120, 3), 0.4), SIDE)))
         for f in (step3_environment, cube_from_picture)
     ]
-    item = "step 3, environment of a constant picture"
     yield row(
-        item,
+        "step 3, environment of a constant picture",
         "constant, as follows",
         flat,
         "largest difference",
@@ -206,19 +202,23 @@ def environment() -> Iterator[Row]:
         " corrected fold is continuous",
         max(seam) < 1.5,
     )
-    item = f"step 3, levels of the mip chain of {FACE_PX}² texels a face"
-    yield row(item, "several", float(len(mipmap)), "", "some are missing", len(mipmap) == 8)
+    yield row(
+        f"step 3, levels of the mip chain of {FACE_PX}² texels a face",
+        "several",
+        float(len(mipmap)),
+        "",
+        "some are missing",
+        len(mipmap) == 8,
+    )
     for half_deg in (1, 5, 15, 30):
         level = mip_level(half_deg, FACE_PX)
         texel = 4**level * 4 * np.pi / (6 * FACE_PX**2)
         cone = 2 * np.pi * (1 - np.cos(np.radians(half_deg)))
-        item = f"step 4, mip level of a cone of half-angle {half_deg}° at {FACE_PX}² texels"
-        wrong = "a texel of that level is not as large as the cone"
         yield row(
-            item,
+            f"step 4, mip level of a cone of half-angle {half_deg}° at {FACE_PX}² texels",
             "by the aperture of the cone",
             level,
             "",
-            wrong,
+            "a texel of that level is not as large as the cone",
             abs(texel / cone - 1) < 1e-9,
         )

@@ -105,19 +105,16 @@ def step_length() -> Iterator[Row]:
     }
     half = [1 - float(r[3]) for r in ray(0.5, block, [[0.0, 0, 0.5]], [2.0, 8, 8])]
     whole = [1 - float(r[3]) for r in parts[2]]
-    item = "step 4, opacity of half a step where α = 0.5"
-    words = "two of them make one step, as follows"
     yield row(
-        item,
-        words,
+        "step 4, opacity of half a step where α = 0.5",
+        "two of them make one step, as follows",
         half,
         "",
         "two make another",
         max(abs((1 - h) ** 2 - 0.5) for h in half) < 1e-6,
     )
-    item = "step 4, opacity of two half steps where α = 0.5"
     yield row(
-        item,
+        "step 4, opacity of two half steps where α = 0.5",
         "that of one step, as follows",
         whole,
         "",

@@ -44,18 +44,6 @@ def pictures(work: Work) -> Iterator[Item]:
     red = work.scaled("red-teapot", "red-cube")
     mirror = work.scaled("mirror", "cube")
     matte = {"plane_gloss": 0.0}
-    sent = (
-        "only lamps are in the printed volumes, so that nothing darkens the plane around"
-        " the object; voxels leak and blur"
-    )
-    folded = (
-        "one picture does not show what is above it and behind the camera: both guess it"
-        " from the same picture"
-    )
-    blurred = (
-        "as above; the printed mirror cone meets the volumes' voxels, and again lamps'"
-        " light alone"
-    )
     for item, title, model, fit, gi, why in (
         (
             "step 4, indirect light of an object and the plane under it",
@@ -63,7 +51,8 @@ def pictures(work: Work) -> Iterator[Item]:
             red,
             "13cm",
             matte,
-            sent,
+            "only lamps are in the printed volumes, so that nothing darkens the plane around"
+            " the object; voxels leak and blur",
         ),
         (
             "step 4, the surroundings in a shiny object",
@@ -71,7 +60,8 @@ def pictures(work: Work) -> Iterator[Item]:
             mirror,
             "9cm",
             matte,
-            folded,
+            "one picture does not show what is above it and behind the camera: both guess it"
+            " from the same picture",
         ),
         (
             "step 4, the object in a shiny real plane",
@@ -79,7 +69,8 @@ def pictures(work: Work) -> Iterator[Item]:
             red,
             "13cm",
             {"plane_gloss": 0.25},
-            blurred,
+            "as above; the printed mirror cone meets the volumes' voxels, and again lamps'"
+            " light alone",
         ),
     ):
         yield from beside_reference(
@@ -187,9 +178,12 @@ def rates(work: Work) -> Iterator[Item]:
         "the paper names real time as its aim, and no rate, picture size or machine; it"
         " uses a graphics card, here there is none"
     )
-    unit = f"frames/s at {size}, 64³ voxels"
     yield row(
-        "frame rate", "real time", (printed.frames_per_s, corrected.frames_per_s), unit, why
+        "frame rate",
+        "real time",
+        (printed.frames_per_s, corrected.frames_per_s),
+        f"frames/s at {size}, 64³ voxels",
+        why,
     )
     words, unit = "voxels in the memory of the graphics card", "MB of the whole process"
     yield row("memory", words, (printed.peak_mb, corrected.peak_mb), unit, why)

@@ -222,9 +222,8 @@ def empty(work: Work) -> Row:
             None if shot is None else shot.picture().astype(int) - shot.renderer.original()
         )
         changed.append(0.0 if after is None else float(np.abs(after).max()))
-    item = "step 2, change of the picture by an empty V_Δ"
     return row(
-        item,
+        "step 2, change of the picture by an empty V_Δ",
         "none, as follows",
         changed,
         "grey levels at most",
