@@ -158,9 +158,12 @@ def figure_1(situation: Situation) -> Iterator[Item]:
         PRINTED_PICTURE: situation.shot(PAPER, {}),
         CORRECTED_PICTURE: situation.shot(CORRECTED, {}),
     }
-    lights = tuple(len(facts_light(s).lights) for s in shots.values())
     yield row(
-        "figure 1, lights of a scene with one lamp", "1", lights, "", s1_equations.PEAKS
+        "figure 1, lights of a scene with one lamp",
+        "1",
+        tuple(len(facts_light(s).lights) for s in shots.values()),
+        "",
+        s1_equations.PEAKS,
     )
     off = tuple(situation.off_deg(s) for s in shots.values())
     yield row(

@@ -96,22 +96,20 @@ def _limits() -> Iterator[Item]:
         fronts, backs = _sharp_mm(lens)
         ends = {"(4)": [far - mm for mm in fronts], "(5)": [far + mm for mm in backs]}
         for name, places in ends.items():
-            circles = [float(circle_of_confusion_mm(place, lens)) for place in places]
             yield row(
                 f"equation {name}{of}, circle (3) at this limit",
                 f"{C}",
-                circles,
+                [float(circle_of_confusion_mm(place, lens)) for place in places],
                 "mm",
                 why,
                 tolerance=1e-9,
             )
     fronts, backs = _sharp_mm(LENS)
     parts, true_parts = (a + b for a, b in zip(fronts, backs, strict=True))
-    totals = eq6_total(N, C, L, F), depth_of_field(LENS, C).total_mm
     yield row(
         "equation (6)",
         "ΔL1 + ΔL2",
-        totals,
+        (eq6_total(N, C, L, F), depth_of_field(LENS, C).total_mm),
         "mm",
         "L in the denominator is not squared, the dimensions do not match; the sum of (4)"
         f" and (5) is {parts:.4f}, and by (3) {true_parts:.4f}",
@@ -187,8 +185,14 @@ def _example() -> Iterator[Item]:
     distance = np.linspace(2350, 2680, 400)
     circle = np.array([eq3_circle(F, N, L, d) for d in distance])
     apart = float(np.abs(circle - circle_of_confusion_mm(distance, LENS)).max())
-    words = f"circles of 0 to {circle.max():.3f} mm", f"{apart:.0e} mm apart from them"
-    yield row("figure 3", "circle of a point beside the focus", words, "", "", apart < 1e-9)
+    yield row(
+        "figure 3",
+        "circle of a point beside the focus",
+        (f"circles of 0 to {circle.max():.3f} mm", f"{apart:.0e} mm apart from them"),
+        "",
+        "",
+        apart < 1e-9,
+    )
     plot = curves(
         "figure 3",
         "circle of confusion and depth of field: N = 11, F = 200 mm, L = 2500 mm",
@@ -277,19 +281,21 @@ def _luminance() -> Iterator[Item]:
     result = float(eq8_bleed(np.dstack([around] * 3), flat)[1, 1, 0])
     more = around[around > 100] - 100
     expected = float((more / more.sum() * around[around > 100]).sum())
-    same = math.isclose(result, expected, rel_tol=1e-5)
     yield row(
         "equation (8), 100 among 100, 120, 90, 180, 100, 60, 100, 140",
         "weights 20/140, 80/140, 40/140",
         result,
         "",
         "",
-        same,
+        math.isclose(result, expected, rel_tol=1e-5),
     )
     darker = np.full((3, 3, 3), 50, np.float32)
     darker[1, 1] = 100
-    kept = float(eq8_bleed(darker, flat)[1, 1, 0])
-    yield row("equation (8), 100 among darker ones", "100", kept)
+    yield row(
+        "equation (8), 100 among darker ones",
+        "100",
+        float(eq8_bleed(darker, flat)[1, 1, 0]),
+    )
     dot = np.zeros((9, 9, 3), np.float32)
     dot[4, 4] = 1
     made = float(eq8_bleed(dot, np.ones((9, 9), np.float32))[..., 0].sum())
@@ -317,10 +323,20 @@ def _blocks() -> Iterator[Item]:
     }
     for name, (printed, value) in parts.items():
         yield row(f"figure 8, bytes of {name}", printed, float(value), "bytes", why)
-    total = float(sum(value for _, value in parts.values()))
-    yield row("figure 8, shared memory", "9728", total, "bytes", why)
-    blocks = float((800 // rows_px) * (800 // columns_px))
-    yield row("figure 8, blocks of 800 x 800", "5000", blocks, "", why)
+    yield row(
+        "figure 8, shared memory",
+        "9728",
+        float(sum(value for _, value in parts.values())),
+        "bytes",
+        why,
+    )
+    yield row(
+        "figure 8, blocks of 800 x 800",
+        "5000",
+        float((800 // rows_px) * (800 // columns_px)),
+        "",
+        why,
+    )
     yield row("figure 8, threads of a block", "128", float(rows_px * columns_px), "", why)
     halo = (tall - rows_px) // 2
     largest = max(
@@ -328,14 +344,13 @@ def _blocks() -> Iterator[Item]:
         for n in range(1, 64, 2)
         if len(PrintedDof(PrintedDofParams(mean_px=n)).weights) // 2 + 1 <= halo
     )
-    words = (
-        f"{PrintedDofParams().mean_px} px, at most {largest} px",
-        "discs of the blur circle",
-    )
     yield row(
         "section 3.3, size of the mean filter",
         None,
-        words,
+        (
+            f"{PrintedDofParams().mean_px} px, at most {largest} px",
+            "discs of the blur circle",
+        ),
         "",
         "not stated; the block holds 4 px around its own, of which (8) takes one",
     )

@@ -91,14 +91,13 @@ def _diagrams() -> Iterator[Item]:
         "input devices, communication and display are no part of a program that processes"
         " recorded clips",
     )
-    ends = order.endswith("composite, dof")
     yield row(
         "figure 2",
         "virtual objects, composition, depth of field",
         (order, order),
         "",
         "",
-        ends,
+        order.endswith("composite, dof"),
     )
 
 
@@ -182,11 +181,10 @@ def _steps(shot: Shot, made: Pictures) -> Iterator[Item]:
     sharp, printed, corrected = (
         _levels(made[name], made[REFERENCE]) for name in (BEFORE, PRINTED, CORRECTED)
     )
-    values = [f"{x:.1f} grey levels from the photograph" for x in (printed, corrected)]
     yield row(
         "figure 11",
         "like a camera",
-        values,
+        [f"{x:.1f} grey levels from the photograph" for x in (printed, corrected)],
         "",
         f"without blur it is {sharp:.1f} away. The printed filter has one size, here 7 px,"
         " and its blend keeps the sharp picture below the blurred one; the open lens makes"
@@ -248,11 +246,10 @@ def _in_focus(shot: Shot, before: np.ndarray) -> Iterator[Item]:
         for name, formula in ((PRINTED, PAPER), (CORRECTED, CORRECTED))
     }
     changed = [float((picture != before).mean()) for picture in closed.values()]
-    words = [f"{100 * c:.0f} % of the pixels blurred" for c in changed]
     yield row(
         "figure 14",
         "all in focus, nothing blurred",
-        words,
+        [f"{100 * c:.0f} % of the pixels blurred" for c in changed],
         "",
         "some pixels changed",
         not any(changed),
@@ -270,11 +267,10 @@ def _out_of_focus(shot: Shot, made: Pictures) -> Iterator[Item]:
             share = _steepest(picture, *where) / _steepest(before, *where)
             kept[name].append(f"{ball} {100 * share:.0f} %")
     words = {name: ", ".join(of) for name, of in kept.items()}
-    found = [f"outline keeps: {words[name]}" for name in (PRINTED, CORRECTED)]
     yield row(
         "figure 15",
         "both balls blurred alike",
-        found,
+        [f"outline keeps: {words[name]}" for name in (PRINTED, CORRECTED)],
         "",
         f"of its steepness a ball's outline keeps in the photograph: {words[REFERENCE]}."
         " As printed outlines stay, since what stands in front does not flow into what is"

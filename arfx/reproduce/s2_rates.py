@@ -113,15 +113,13 @@ def _machine(peaks_mb: list[float], size: tuple[int, int]) -> Iterator[Item]:
         "another machine, without a graphics processor",
     )
     printed, corrected = max(peaks_mb[::2]), max(peaks_mb[1::2])
-    holds = max(printed, corrected) <= PC_MB
-    words = [f"at most {mb:.0f} MB used" for mb in (printed, corrected)]
     yield row(
         "section 4, memory of the machine",
         "2 GB",
-        words,
+        [f"at most {mb:.0f} MB used" for mb in (printed, corrected)],
         "",
         "the process with all its libraries needs more than the authors' machine had",
-        holds,
+        max(printed, corrected) <= PC_MB,
     )
     used = f"{size[0]}*{size[1]}"
     yield row(

@@ -56,8 +56,9 @@ def frame_rows(frame: Shown) -> Iterator[Item]:
         "",
         seen == list(OBJECTS),
     )
-    pictures = {"camera": frame.real, BEFORE: frame.image}
-    yield Figure(item, "what both methods are given", pictures)
+    yield Figure(
+        item, "what both methods are given", {"camera": frame.real, BEFORE: frame.image}
+    )
 
 
 def cell_rows(frame: Shown) -> Iterator[Item]:
@@ -73,21 +74,19 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
     yield _not_stated(
         "m and n", "settings; 0 = cells of cell_px", "cell_px, for cells of any density"
     )
-    shares = [measure.rectangles_with_site(s, rect, m, n) for s, _ in both]
     yield row(
         "equation (1), a site in each of m × n rectangles",
         "1",
-        shares,
+        [measure.rectangles_with_site(s, rect, m, n) for s, _ in both],
         "share of the rectangles",
         "corrected sites are those of a nested grid that moves with the things: as many,"
         " one to a rectangle in the mean alone",
         tolerance=1e-9,
     )
-    shares = [measure.own_cell_share(s) for s, _ in both]
     yield row(
         "equation (1), every site in its own cell",
         "1",
-        shares,
+        [measure.own_cell_share(s) for s, _ in both],
         "share of sites",
         tolerance=1e-9,
     )
@@ -103,14 +102,18 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
 
     item = "figure 2, Voronoi diagram"
     yield row(f"{item}, polygons", str(m * n), float(len(np.unique(labels))))
-    shares = [measure.convex_share(found) for _, found in both]
-    yield row(item, "1", shares, "share of cells that are convex", tolerance=1e-9)
+    yield row(
+        item,
+        "1",
+        [measure.convex_share(found) for _, found in both],
+        "share of cells that are convex",
+        tolerance=1e-9,
+    )
     yield Figure(item, "each cell in a colour by chance", _templates(labels, own))
-    shares = [measure.nearest_share(s, found[:64, :96]) for s, found in both]
     yield row(
         "section 3.1.2, cones give Voronoi cells",
         "1",
-        shares,
+        [measure.nearest_share(s, found[:64, :96]) for s, found in both],
         "share of pixels with the nearest site",
         tolerance=1e-9,
     )
@@ -143,8 +146,11 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
     )
     made = frame.painted(printed(frame, toon=False, line_threshold=2.0))
     flat = frame.painted(corrected(cell_px=scene.CELL_PX, toon=False, **FLAT))
-    pictures = {BEFORE: frame.image, PRINTED: made, CORRECTED: flat}
-    yield Figure(item, "cells alone, their size by depth", pictures)
+    yield Figure(
+        item,
+        "cells alone, their size by depth",
+        {BEFORE: frame.image, PRINTED: made, CORRECTED: flat},
+    )
 
 
 def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
@@ -152,11 +158,10 @@ def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
     depth, by_cones, by_density = measure.areas_on_plane(8, work.scaled(10, 2))
     area, covered, equal = measure.small_thing(work.scaled(40, 10))
     item = "section 3.1.2, nearer is finer"
-    ratios = [float(areas[-1] / areas[0]) for areas in (by_cones, by_density)]
     yield row(
         item,
         "nearer is finer",
-        ratios,
+        [float(areas[-1] / areas[0]) for areas in (by_cones, by_density)],
         f"area of a cell of a plane at {depth[-1]:.2f} m / at {depth[0]:.2f} m",
         "m × n sites are spread evenly, and the size of cones moves the borders between"
         " near and far alone: a disc five cells wide, at .25 m before a wall at 2 m, has"
@@ -183,8 +188,9 @@ def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
         "borders between cones of two sizes are arcs; corrected cells are power cells,"
         " which are polygons",
     )
-    pictures = {"depth buffer": buffer, **_templates(labels, own)}
-    yield Figure(item, "cells by depth", pictures)
+    yield Figure(
+        item, "cells by depth", {"depth buffer": buffer, **_templates(labels, own)}
+    )
     yield _not_stated(
         "size of a cone by the depth buffer",
         "in proportion to its value",
@@ -216,9 +222,12 @@ def toon_rows(frame: Shown) -> Iterator[Item]:
         ("third", "0.1", -0.5),
     ):
         k = int(np.searchsorted(cosine, at - 1e-9))
-        values = [float(kind[k]) for kind in (hard, soft)]
         yield row(
-            f"toon listing, {name} tone", text, values, "of the colour", tolerance=1e-4
+            f"toon listing, {name} tone",
+            text,
+            [float(kind[k]) for kind in (hard, soft)],
+            "of the colour",
+            tolerance=1e-4,
         )
     counts = [float(len(np.unique(tones.round(4)))) for tones in (hard, soft)]
     yield row(
@@ -245,8 +254,13 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
         (("equation (2)", 1.0), ("equation (3)", 0.0), ("equation (4), left side", 0.5))
     ):
         for step, (left, right, *values) in STEP_VALUES.items():
-            made = measure.edge_of(left, right, beta)
-            yield row(f"{equation}, {step}", values[k], made, "α = β = .5", tolerance=2e-4)
+            yield row(
+                f"{equation}, {step}",
+                values[k],
+                measure.edge_of(left, right, beta),
+                "α = β = .5",
+                tolerance=2e-4,
+            )
     p, c = printed(frame).params, corrected().params
     yield _not_stated("matrix from RGB to YUV", p.yuv, "bt601")
     yield _not_stated("equation (2), alpha", p.alpha, ALPHA)
@@ -254,11 +268,10 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
     yield _not_stated(
         "equation (4), threshold", p.line_threshold, f"{c.line_low:g} to {c.line_high:g}"
     )
-    flips = measure.flips(work.scaled(12, 4))
     yield row(
         "equation (4), pixels of an edge that flip",
         "an edge, or none",
-        flips,
+        measure.flips(work.scaled(12, 4)),
         "share from frame to frame, noise 2/255, at the worst contrast",
         "near a hard threshold noise decides; corrected lines come from a smoothed picture,"
         " with hysteresis and a ramp",
@@ -318,8 +331,11 @@ def picture_rows(frame: Shown) -> Iterator[Item]:
     apart = float(255 * np.abs(done - made).max())
     words, unit = "cells, with the edges over them", "grey levels from these steps"
     yield row(item, words, apart, unit, "", apart < 0.5)
-    steps = {"frame": coded, "cells": cells, "edges": 1.0 - edges, "cells and edges": done}
-    yield Figure(item, "the printed steps", steps)
+    yield Figure(
+        item,
+        "the printed steps",
+        {"frame": coded, "cells": cells, "edges": 1.0 - edges, "cells and edges": done},
+    )
 
     ours = frame.painted(corrected())
     change = [float(255 * np.abs(a - frame.image).mean()) for a in (made, ours)]
@@ -332,8 +348,7 @@ def picture_rows(frame: Shown) -> Iterator[Item]:
         "the paper has no measure of how well real and virtual agree; the values are how"
         " much the frame has changed in the mean",
     )
-    pictures = {BEFORE: frame.image, PRINTED: made, CORRECTED: ours}
-    yield Figure(item, "the result", pictures)
+    yield Figure(item, "the result", {BEFORE: frame.image, PRINTED: made, CORRECTED: ours})
 
 
 def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
@@ -350,11 +365,10 @@ def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
             f"section 2, coherence at rest, {name}",
             "squared error {}, noise 2/255",
         )
-        errors = [measure.mean_squared(made) for made in still]
         yield row(
             item,
             "good",
-            errors,
+            [measure.mean_squared(made) for made in still],
             unit.format("between frames"),
             "new random numbers in every frame; corrected sites are a hash of (seed, cell)",
         )
@@ -363,11 +377,10 @@ def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
             for kind, made in zip((PRINTED, CORRECTED), still, strict=True)
         }
         yield Figure(item, "change from a frame to the next, × 8", change)
-        errors = measure.pan_errors(frame.scene, frames, *settings)
         yield row(
             f"section 2, coherence in a pan, {name}",
             "good",
-            errors,
+            measure.pan_errors(frame.scene, frames, *settings),
             unit.format("along the motion"),
             "even fixed on the screen, cells let the picture swim; corrected ones move with the"
             " things",

@@ -200,13 +200,12 @@ def memory(work: Work) -> Iterator[Item]:
             "as much as arrays of all voxels",
             printed[-1] < 0.2 * dense[-1],
         )
-    series = {"arrays of all voxels": dense, "printed method": printed}
     yield Bars(
         f"step 2, memory of the volumes at {sides[-1]}³ voxels",
         "a teapot",
         "MB",
         [f"{n}³" for n in sides],
-        series,
+        {"arrays of all voxels": dense, "printed method": printed},
     )
 
 
