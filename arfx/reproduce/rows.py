@@ -80,7 +80,10 @@ def row(
     that are the same, or, for a number as it stands there, "58.7", what rounds to its digits
     tolerance : in place of half its last digit
     """
-    of_paper, corrected = values if isinstance(values, (tuple, list)) else (values, None)
+    pair = values if isinstance(values, (tuple, list)) else (values, None)
+    of_paper, corrected = (
+        v.item() if isinstance(v, (np.generic, np.ndarray)) else v for v in pair
+    )
     if holds is None and isinstance(printed, str):
         text, number = printed, as_number(printed)
         known = [value for value in (of_paper, corrected) if value is not None]

@@ -62,7 +62,7 @@ def rows(work: Work) -> Iterator[Item]:
 def section_2_3() -> Iterator[Item]:
     """Phong's model, and shadows."""
     v, d = normalise(np.array([[-0.6, 0, 0.8]])), np.array([0.6, 0, 0.8])
-    highlight = float(phong(UP[None], v, d, np.array([0.3]))[0])
+    highlight = phong(UP[None], v, d, np.array([0.3]))[0]
     yield row(
         "section 2.3, Phong's highlight in the mirrored direction",
         "brightest",
@@ -80,7 +80,7 @@ def section_2_3() -> Iterator[Item]:
         np.zeros(3, np.float32),
         dark,
     )
-    coded = float(255 * SRGB.encode(dark.astype(float))[0, 0, 0])
+    coded = 255 * SRGB.encode(dark.astype(float))[0, 0, 0]
     yield row(
         "section 2.3, half of the light on coded 200",
         None,
@@ -110,9 +110,7 @@ def equation_1() -> Iterator[Item]:
         np.zeros((1, 3)),
         tuple(FittedLight(a, b[None], 1.0) for a, b in zip(d, omega, strict=True)),
     )
-    off = tuple(
-        float(np.abs(e - x).max()) for e in (shared.radiance(n), found.irradiance(n))
-    )
+    off = tuple(np.abs(e - x).max() for e in (shared.radiance(n), found.irradiance(n)))
     yield row(
         "equation (1), two lights: largest difference from the sum",
         "x = Σ max(n·d, 0) Ω",
@@ -310,7 +308,7 @@ def equation_8() -> Iterator[Item]:
     yield row("equation (8), s", "a blur constant", (S_RAD, S_RAD), "rad", NO_VALUE)
     for angle_deg in (0, 1, 5, 10, 20, 30):
         cosine = np.cos(np.radians([angle_deg]))
-        f = tuple(float(weight(cosine)[0]) for weight in (printed_weight, corrected_weight))
+        f = tuple(weight(cosine)[0] for weight in (printed_weight, corrected_weight))
         yield row(
             f"equation (8), weight at {angle_deg} degrees",
             "exp(−θ / (2 s²))",
@@ -399,7 +397,7 @@ def equation_9(seeds: int) -> Iterator[Item]:
         )
     clips = [one_lamp(seed, params) for seed in range(seeds)]
     median = tuple(
-        float(np.median([o for o in column if o is not None]))
+        np.median([o for o in column if o is not None])
         for column in zip(*clips, strict=True)
     )
     yield row(
@@ -415,7 +413,7 @@ def equation_9(seeds: int) -> Iterator[Item]:
         fit(np.repeat(normal[None], 20, 0), np.full((20, 3), 0.6)).verdict == MEASURED
         for normal in normals[:5]
     ]
-    count = tuple((float(sum(map(len, single))), float(sum(claimed))))
+    count = tuple((sum(map(len, single)), sum(claimed)))
     yield row(
         "equation (9), a marker at rest, 50 normals: lights",
         "at a peak",

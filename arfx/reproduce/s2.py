@@ -229,7 +229,7 @@ def _blur_factor() -> Iterator[Item]:
         "1 / z has no largest distance: what is infinitely far has a place",
     )
     yield row("section 3.2, depth = z / z_far", "0 to 1", (words, words), "", why)
-    infinite = float(blur_factor(np.array([0.0]), (0.0, 20.0), AT)[0])
+    infinite = blur_factor(np.array([0.0]), (0.0, 20.0), AT)[0]
     yield row(
         "section 3.2, a of infinity, near plane at 50 mm",
         "c / max(c_near, c_far)",
@@ -253,11 +253,9 @@ def _blur_factor() -> Iterator[Item]:
         "one thing's blur changes with the far plane",
     )
     wide, place = replace(AT, px_per_dioptre=AT.px_per_dioptre * N / 2), np.array([0.2])
-    ratio = float(
-        (blur_factor(place, (0.0, 0.5), wide) / blur_factor(place, (0.0, 0.5), AT))[0]
-    )
+    ratio = (blur_factor(place, (0.0, 0.5), wide) / blur_factor(place, (0.0, 0.5), AT))[0]
     circle = circle_of_confusion_mm(OTHER, LENS)
-    true = float(circle_of_confusion_mm(OTHER, Lens(F, 2.0, L)) / circle)
+    true = circle_of_confusion_mm(OTHER, Lens(F, 2.0, L)) / circle
     yield row(
         "section 3.2, blur at f/2 over that at f/11",
         "from focal length and f-number",
@@ -277,8 +275,8 @@ def _luminance() -> Iterator[Item]:
         only = np.full((3, 3, 3), 100, np.float32)
         only[y, x] = 101
         seen.append(float(eq8_bleed(only, flat)[1, 1, 0]) > 100.5 and (y, x) != (1, 1))
-    yield row("figure 7, neighbours that count", "8", float(sum(seen)))
-    result = float(eq8_bleed(np.dstack([around] * 3), flat)[1, 1, 0])
+    yield row("figure 7, neighbours that count", "8", sum(seen))
+    result = eq8_bleed(np.dstack([around] * 3), flat)[1, 1, 0]
     more = around[around > 100] - 100
     expected = float((more / more.sum() * around[around > 100]).sum())
     yield row(
@@ -294,12 +292,12 @@ def _luminance() -> Iterator[Item]:
     yield row(
         "equation (8), 100 among darker ones",
         "100",
-        float(eq8_bleed(darker, flat)[1, 1, 0]),
+        eq8_bleed(darker, flat)[1, 1, 0],
     )
     dot = np.zeros((9, 9, 3), np.float32)
     dot[4, 4] = 1
-    made = float(eq8_bleed(dot, np.ones((9, 9), np.float32))[..., 0].sum())
-    disc = float(DISC_ROWS.sum())
+    made = eq8_bleed(dot, np.ones((9, 9), np.float32))[..., 0].sum()
+    disc = DISC_ROWS.sum()
     yield row(
         "equation (8), light of one white pixel",
         1.0,
@@ -322,22 +320,22 @@ def _blocks() -> Iterator[Item]:
         "intermediate": ("512", rows_px * columns_px * size),
     }
     for name, (printed, value) in parts.items():
-        yield row(f"figure 8, bytes of {name}", printed, float(value), "bytes", why)
+        yield row(f"figure 8, bytes of {name}", printed, value, "bytes", why)
     yield row(
         "figure 8, shared memory",
         "9728",
-        float(sum(value for _, value in parts.values())),
+        sum(value for _, value in parts.values()),
         "bytes",
         why,
     )
     yield row(
         "figure 8, blocks of 800 x 800",
         "5000",
-        float((800 // rows_px) * (800 // columns_px)),
+        (800 // rows_px) * (800 // columns_px),
         "",
         why,
     )
-    yield row("figure 8, threads of a block", "128", float(rows_px * columns_px), "", why)
+    yield row("figure 8, threads of a block", "128", rows_px * columns_px, "", why)
     halo = (tall - rows_px) // 2
     largest = max(
         n
@@ -359,13 +357,13 @@ def _blocks() -> Iterator[Item]:
 def _blend() -> Iterator[Item]:
     """(9), the factor 2/3 and its border."""
     over, under = np.full((1, 1, 3), 80.0), np.full((1, 1, 3), 40.0)
-    value = float(eq9_blend(np.array([[0.25]]), over, under)[0, 0, 0])
+    value = eq9_blend(np.array([[0.25]]), over, under)[0, 0, 0]
     yield row("equation (9), 80 over 40 with α = 1/4", "50", value)
     step = np.where(np.arange(8) < 4, 0.0, 1.0)
     picture = np.repeat(np.repeat(step[None, :, None], 3, 0), 3, 2)
     half = eq9_blend(np.full((3, 8), 0.5), np.full_like(picture, 0.5), picture)
-    left = float(np.abs(np.diff(half[1, :, 0])).max())
-    disc = float(DISC_ROWS.max())
+    left = np.abs(np.diff(half[1, :, 0])).max()
+    disc = DISC_ROWS.max()
     yield row(
         "equation (9), sharp edge left at α = 1/2",
         "weighted mean",
@@ -375,8 +373,8 @@ def _blend() -> Iterator[Item]:
         " one of its rows holds",
     )
     sharp = sharp_range(AT, F, C)
-    inside = float(within_depth_of_field(np.array([AT.focus]), sharp, 0.5)[0])
-    outside = float(within_depth_of_field(np.array([AT.focus + 0.1]), sharp, 0.5)[0])
+    inside = within_depth_of_field(np.array([AT.focus]), sharp, 0.5)[0]
+    outside = within_depth_of_field(np.array([AT.focus + 0.1]), sharp, 0.5)[0]
     yield row(
         "section 3.4, factor inside the depth of field",
         "2/3",

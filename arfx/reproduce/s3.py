@@ -101,7 +101,7 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
     )
 
     item = "figure 2, Voronoi diagram"
-    yield row(f"{item}, polygons", str(m * n), float(len(np.unique(labels))))
+    yield row(f"{item}, polygons", str(m * n), len(np.unique(labels)))
     yield row(
         item,
         "1",
@@ -161,7 +161,7 @@ def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
     yield row(
         item,
         "nearer is finer",
-        [float(areas[-1] / areas[0]) for areas in (by_cones, by_density)],
+        [areas[-1] / areas[0] for areas in (by_cones, by_density)],
         f"area of a cell of a plane at {depth[-1]:.2f} m / at {depth[0]:.2f} m",
         "m × n sites are spread evenly, and the size of cones moves the borders between"
         " near and far alone: a disc five cells wide, at .25 m before a wall at 2 m, has"
@@ -225,11 +225,11 @@ def toon_rows(frame: Shown) -> Iterator[Item]:
         yield row(
             f"toon listing, {name} tone",
             text,
-            [float(kind[k]) for kind in (hard, soft)],
+            [kind[k] for kind in (hard, soft)],
             "of the colour",
             tolerance=1e-4,
         )
-    counts = [float(len(np.unique(tones.round(4)))) for tones in (hard, soft)]
+    counts = [len(np.unique(tones.round(4))) for tones in (hard, soft)]
     yield row(
         "toon listing, discrete intensities",
         "3",
@@ -302,7 +302,7 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
             why,
             min(found) > 0.95,
         )
-    black = [float(seen.mean()) for seen in (edges, lines > DRAWN)]
+    black = [seen.mean() for seen in (edges, lines > DRAWN)]
     words, unit = "outlines of virtual and real things", "share of the frame's pixels"
     yield row(item, words, black, unit, "", min(black) > 0)
     drawn = {
@@ -328,7 +328,7 @@ def picture_rows(frame: Shown) -> Iterator[Item]:
     edges = measure.printed_edges(coded, stage.params)
     done, made = np.where(edges[..., None], 0, cells), frame.painted(stage)
     item = "figure 6, from the frame to the picture"
-    apart = float(255 * np.abs(done - made).max())
+    apart = 255 * np.abs(done - made).max()
     words, unit = "cells, with the edges over them", "grey levels from these steps"
     yield row(item, words, apart, unit, "", apart < 0.5)
     yield Figure(
@@ -338,7 +338,7 @@ def picture_rows(frame: Shown) -> Iterator[Item]:
     )
 
     ours = frame.painted(corrected())
-    change = [float(255 * np.abs(a - frame.image).mean()) for a in (made, ours)]
+    change = [255 * np.abs(a - frame.image).mean() for a in (made, ours)]
     item = "figure 7, watercolour of the frame"
     yield row(
         item,

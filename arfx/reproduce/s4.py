@@ -60,7 +60,7 @@ def plane() -> Iterator[Row]:
     cloud = cloud_of(depth, camera)
     assert cloud is not None
     table, up = find_planes(cloud)[0], pose.rotation[:, 2]
-    angle = float(np.degrees(np.arccos(min(float(table.normal @ up), 1.0))))
+    angle = np.degrees(np.arccos(min(float(table.normal @ up), 1.0)))
     lower = float(np.abs(table.offset_m - up @ pose.translation_m)) * 1e3
     off = "the plane that was found is not the table"
     yield row(
@@ -150,7 +150,7 @@ def environment() -> Iterator[Row]:
         ("(34), middle of the picture, mirrored, on +z", 5, (1, 1)),
     )
     for words, face, part in faces:
-        off = [float(np.abs(f[face] - colours[part]).max()) for f in (printed, corrected)]
+        off = [np.abs(f[face] - colours[part]).max() for f in (printed, corrected)]
         yield row(
             f"step 3 {words}",
             "that part of the picture",
@@ -175,7 +175,7 @@ def environment() -> Iterator[Row]:
         formats[0] == "4 x 16 bit u" == formats[1],
     )
     flat = [
-        float(np.ptp(f(np.full((90, 120, 3), 0.4), SIDE)))
+        np.ptp(f(np.full((90, 120, 3), 0.4), SIDE))
         for f in (step3_environment, cube_from_picture)
     ]
     yield row(
@@ -190,9 +190,7 @@ def environment() -> Iterator[Row]:
     smooth = np.stack(
         [np.sin(x + y) / 3 + 0.5, np.cos(y) / 3 + 0.5, np.sin(x) / 3 + 0.5], -1
     )
-    seam = [
-        float(seam_ratio(f(smooth, SIDE))) for f in (step3_environment, cube_from_picture)
-    ]
+    seam = [seam_ratio(f(smooth, SIDE)) for f in (step3_environment, cube_from_picture)]
     yield row(
         "step 3, seams of the environment",
         "acceptable for the whole surroundings",
@@ -205,7 +203,7 @@ def environment() -> Iterator[Row]:
     yield row(
         f"step 3, levels of the mip chain of {FACE_PX}² texels a face",
         "several",
-        float(len(mipmap)),
+        len(mipmap),
         "",
         "some are missing",
         len(mipmap) == 8,

@@ -44,7 +44,7 @@ def cones(work: Work) -> Iterator[Row]:
         "one alone",
         len(weights) > 1,
     )
-    total = float(weights.sum())
+    total = weights.sum()
     yield row(
         "step 4, weights of the wide cones together",
         "1, as follows",
@@ -57,7 +57,7 @@ def cones(work: Work) -> Iterator[Row]:
     turn = np.arange(100_000) * np.pi * (3 - np.sqrt(5))
     flat = np.sqrt(1 - z**2)
     hemisphere = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], -1)
-    covered = float(((hemisphere @ directions.T).max(1) > np.cos(np.radians(wide))).mean())
+    covered = ((hemisphere @ directions.T).max(1) > np.cos(np.radians(wide))).mean()
     yield row(
         "step 4, share of the hemisphere within the wide cones",
         "cover the whole hemisphere",
@@ -85,7 +85,7 @@ def through() -> Row:
     red, _, _, left = wide_cones(
         made, V, at, step3_mipmap(np.full((6, 8, 8, 3), 0.5)), np.eye(3)
     )[0]
-    share = float(red / (0.5 * left))
+    share = red / (0.5 * left)
     return row(
         "step 4, environment through a half opaque ceiling, over what cones let through",
         "weighted by what the cone hides",
@@ -121,7 +121,7 @@ def step_length() -> Iterator[Row]:
         "another",
         max(abs(w - 0.5) for w in whole) < 1e-6,
     )
-    brighter = [float(parts[4][k][0] / parts[1][k][0]) for k in range(2)]
+    brighter = [parts[4][k][0] / parts[1][k][0] for k in range(2)]
     yield row(
         "step 4, light of a voxel that is passed in four steps, over one step",
         "not stated",

@@ -46,9 +46,7 @@ def light(scene: Scene) -> Iterator[Row]:
     beside = made.leaf_of(
         np.array([[0.06, 0.05, 1e-6], [-0.06, 0.05, 1e-6], [0.06, -0.05, 1e-6]])
     )
-    tilt = float(
-        np.degrees(np.arccos(np.clip(eta[beside, 2] / eta[beside, 3], -1, 1))).max()
-    )
+    tilt = np.degrees(np.arccos(np.clip(eta[beside, 2] / eta[beside, 3], -1, 1))).max()
     yield row(
         "step 2, V_η: normal of the plane's voxels",
         "voxels hold normals",
@@ -59,7 +57,7 @@ def light(scene: Scene) -> Iterator[Row]:
     )
     R_rho, R_mu, shows = shadow_maps(real, virtual, made.volume, TOWARDS, RGB)
     plane, expected = np.isfinite(R_rho.distance), ALBEDO * RGB * TOWARDS[2]
-    off = float(np.abs(R_rho.radiance[plane] / expected - 1).max())
+    off = np.abs(R_rho.radiance[plane] / expected - 1).max()
     yield row(
         "step 2, R_ρ: light of the real scene's points",
         "light that meets the real scene",
@@ -72,14 +70,14 @@ def light(scene: Scene) -> Iterator[Row]:
     yield row(
         "step 2, R_μ: texels that differ from R_ρ and do not show the object",
         "with the virtual object added",
-        float((apart & ~shows).mean()),
+        (apart & ~shows).mean(),
         "of 1",
         "others changed",
         not (apart & ~shows).any() and apart.any(),
     )
     fields = step2_radiance(made, real, virtual, [(TOWARDS, RGB)])
     V_rho, V_mu, V_delta = (v[lowest] for v in (fields.V_rho, fields.V_mu, fields.V_delta))
-    shadow = float(V_delta[made.leaf_of(np.array([[-0.05, 0.0, 1e-6]]))[0], 0])
+    shadow = V_delta[made.leaf_of(np.array([[-0.05, 0.0, 1e-6]]))[0], 0]
     yield row(
         "step 2, split injection: V_Δ in the object's shadow",
         "light of R_ρ positive, of R_μ negative",
@@ -88,7 +86,7 @@ def light(scene: Scene) -> Iterator[Row]:
         "not positive",
         shadow > 0,
     )
-    given = float(V_delta[:, 0].min())
+    given = V_delta[:, 0].min()
     yield row(
         "step 2, split injection: V_Δ on the lit object",
         "light of R_ρ positive, of R_μ negative",
@@ -97,7 +95,7 @@ def light(scene: Scene) -> Iterator[Row]:
         "not negative",
         given < 0,
     )
-    wrong = float((np.abs(V_delta - (V_rho - V_mu)).max(1) > 1e-6).mean())
+    wrong = (np.abs(V_delta - (V_rho - V_mu)).max(1) > 1e-6).mean()
     yield row(
         "equation V_Δ = V_ρ - V_μ: voxels in which it does not hold",
         "V_Δ = V_ρ - V_μ",
@@ -144,7 +142,7 @@ def ray(
 
 
 def filtering() -> Iterator[Row]:
-    passes = float(len(small(np.zeros((1, 3), int)).starts))
+    passes = len(small(np.zeros((1, 3), int)).starts)
     yield row(
         "step 2, filter steps of an octree of 5 levels",
         "n - 1",
@@ -160,7 +158,7 @@ def filtering() -> Iterator[Row]:
     )
     for level in range(4):
         made = [small(wall, stored=stored) for stored in (False, True)]
-        opacity = [float(m.tree.eta[m.rows_of(level), 3].mean()) for m in made]
+        opacity = [m.tree.eta[m.rows_of(level), 3].mean() for m in made]
         yield row(
             f"step 2, opacity of a wall of one voxel at level {level}",
             "mean of the children",
@@ -169,7 +167,7 @@ def filtering() -> Iterator[Row]:
             leaks,
             opacity[0] == opacity[1],
         )
-    left = [float(r[3]) for r in ray(1.0, wall, [[6.0, 3, 1.0]], [-2.0, 8, 8])]
+    left = [r[3] for r in ray(1.0, wall, [[6.0, 3, 1.0]], [-2.0, 8, 8])]
     yield row(
         "step 2, light through a wall where a cone is 8 voxels wide",
         "hidden by the wall",
