@@ -110,11 +110,11 @@ def bench(
         cells = make_cells(bench_scene(*size), stage, level)
         if not cells:
             what = stage or f"level {level}"
-            why = (
+            raise ConfigError(
                 f"in the standard scene of {size[0]}x{size[1]} px there is nothing for"
-                f" {what} to do"
+                f" {what} to do",
+                "another size, such as 1280x720",
             )
-            raise ConfigError(why, "another size, such as 1280x720")
         _interleave(cells, size, partial(progress, f"bench {size[0]}x{size[1]}"))
         rows += [c.to_json(errors or shipped_errors()) for c in cells]
     return rows

@@ -151,9 +151,14 @@ def calibrate(
             # of levels for which there was no time
             spread = max(shipped.spread, UNCALIBRATED)
             prices.setdefault(key, replace(shipped, spread=spread))
-    source = f"measured on this machine in {time.perf_counter() - began:.0f} s"
     share = float(np.clip(np.median(alone), 0.1, 1.0)) if alone else 1.0
-    return Prices(prices, concurrency, source, True, share)
+    return Prices(
+        prices,
+        concurrency,
+        f"measured on this machine in {time.perf_counter() - began:.0f} s",
+        True,
+        share,
+    )
 
 
 def _stage_of(key: str) -> str:

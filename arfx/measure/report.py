@@ -97,11 +97,14 @@ def read_report(job: Path) -> dict[str, Any]:
     """report.json of a finished job. Raises InputError."""
     files = JobFolder(job)
     keep = "`arfx process ... --job DIR` keeps one"
-    again = "run the same `arfx process` command again with --resume"
     for there, what, hint in (
         (job.is_dir(), f"there is no job folder {job}", keep),
         (files.job.exists(), f"{job} is not a job folder: it holds no job.toml", keep),
-        (files.report.exists(), f"the job in {job} is not finished", again),
+        (
+            files.report.exists(),
+            f"the job in {job} is not finished",
+            "run the same `arfx process` command again with --resume",
+        ),
     ):
         if not there:
             raise InputError(what, hint)

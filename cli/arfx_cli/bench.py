@@ -100,10 +100,6 @@ def command(
     if as_json:
         emit_json(rows)
         return
-    title = (
-        "cost on this machine (medians; yardstick = one Gaussian blur of the picture), and"
-        " error, grey levels from the best level"
-    )
     lines = (
         (
             r["stage"],
@@ -118,7 +114,8 @@ def command(
         for r in rows
     )
     print_table(
-        title,
+        "cost on this machine (medians; yardstick = one Gaussian blur of the picture), and"
+        " error, grey levels from the best level",
         ("stage", "level", "size", "ms", "yardstick, ms", "ratio", "error", "runs"),
         lines,
         words=3,
@@ -157,10 +154,6 @@ def _calibrate(stage: str | None, level: str | None, as_json: bool) -> None:
         return
     from arfx.core.cost import TERMS
 
-    title = (
-        f"price list, {prices.source}, {prices.threads} threads at once: milliseconds per"
-        " unit"
-    )
     lines = (
         (
             r["entry"],
@@ -170,5 +163,10 @@ def _calibrate(stage: str | None, level: str | None, as_json: bool) -> None:
         )
         for r in rows
     )
-    print_table(title, ("entry", *TERMS, "± %", "runs"), lines)
+    print_table(
+        f"price list, {prices.source}, {prices.threads} threads at once: milliseconds per"
+        " unit",
+        ("entry", *TERMS, "± %", "runs"),
+        lines,
+    )
     say(f"kept in {path}")

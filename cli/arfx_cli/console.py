@@ -60,14 +60,17 @@ def message_options(f: Callable[..., Any]) -> Callable[..., Any]:
         "expose_value": False,
         "callback": _set_level,
     }
-    json_help = "One JSON document on standard output."
     options = (
         click.option(
             "-q", "--quiet", help="Only warnings and errors on standard error.", **level
         ),
         click.option("-v", "--verbose", help="More detail on standard error.", **level),
         click.option(
-            "--json", "as_json", is_flag=True, callback=_keep_output, help=json_help
+            "--json",
+            "as_json",
+            is_flag=True,
+            callback=_keep_output,
+            help="One JSON document on standard output.",
         ),
     )
     for option in options:
