@@ -10,14 +10,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any
 
 import cv2
 import numpy as np
-from numba.core.event import install_timer
 
 from arfx.config.load import suggestion
 from arfx.core.facts import FrameFacts
@@ -26,7 +24,8 @@ from arfx.core.stage import Stage, level_named
 from arfx.core.waiting import Progress
 from arfx.errors import ConfigError
 from arfx.measure.bench_scene import BenchScene, bench_scene
-from arfx.measure.steps import Chain, FrameRenderer, PreparedStages, StageRun, chain_of
+from arfx.measure.steps import Chain, FrameRenderer, PreparedStages, StageRun
+from arfx.measure.timing import WALL
 from arfx.plan.errors import Errors, shipped_errors
 from arfx.plan.planner import plan_frame, terms_of
 from arfx.run.worker import keep_memory
@@ -45,7 +44,7 @@ class Cell:
 
     frame: FrameRenderer
     before: Chain
-    stage: str
+    stage: Stage
     level: str
     out: Rect
     seconds: list[float] = field(default_factory=list)
@@ -74,17 +73,18 @@ class Cell:
 
     def to_json(self, errors: Errors) -> dict[str, Any]:
         camera = self.frame.prepared.scene.camera
-        stage = self.frame.prepared.stages[self.stage]
-        ms = 1e3 * float(np.median(self.seconds))
-        yard = 1e3 * float(np.median(self.yardstick_s))
+        name, best = self.stage.name, self.stage.levels[-1]
+        ms, yardstick_ms = (
+            1e3 * float(np.median(seconds)) for seconds in (self.seconds, self.yardstick_s)
+        )
         return {
-            "stage": self.stage,
+            "stage": name,
             "level": self.level,
             "size": f"{camera.width}x{camera.height}",
             "ms": ms,
-            "yardstick_ms": yard,
-            "ratio": ms / yard,
-            "error": errors.known(self.stage, self.level, stage.levels[-1]),
+            "yardstick_ms": yardstick_ms,
+            "ratio": ms / yardstick_ms,
+            "error": errors.known(name, self.level, best),
             "runs": len(self.seconds),
             "area_px": self.out.area,
         }
@@ -110,11 +110,11 @@ def bench(
         cells = make_cells(bench_scene(*size), stage, level)
         if not cells:
             what = stage or f"level {level}"
-            why = (
+            raise ConfigError(
                 f"in the standard scene of {size[0]}x{size[1]} px there is nothing for"
-                f" {what} to do"
+                f" {what} to do",
+                "another size, such as 1280x720",
             )
-            raise ConfigError(why, "another size, such as 1280x720")
         _interleave(cells, size, partial(progress, f"bench {size[0]}x{size[1]}"))
         rows += [c.to_json(errors or shipped_errors()) for c in cells]
     return rows
@@ -163,24 +163,15 @@ def _cells(
     plan = plan_frame(list(stages.values()), standard, at.facts, at.scene, whole)
     if not any(s.stage in wanted for s in plan.steps):
         return []
-    frame = FrameRenderer(
-        at.facts,
-        at.plate,
-        plan,
-        whole,
-        PreparedStages(at.scene, stages),
-        real_depth_m=at.real_depth_m,
-    )
-    chain = chain_of(plan, standard)
-    steps = [(k, step) for k, step in enumerate(plan.steps) if step.stage in wanted]
-    levels = {
-        step.stage: [le for le in stages[step.stage].levels if level in (None, le)]
-        for _, step in steps
-    }
+    prepared, depth = PreparedStages(at.scene), at.real_depth_m
+    frame = FrameRenderer(at.facts, at.plate, plan, stages, whole, prepared, depth)
+    chain = frame.chain(standard)
     return [
-        Cell(frame, chain[:k], step.stage, le, step.out)
-        for k, step in steps
-        for le in levels[step.stage]
+        Cell(frame, chain[:k], stages[step.stage], own, step.out)
+        for k, step in enumerate(plan.steps)
+        if step.stage in wanted
+        for own in stages[step.stage].levels
+        if level in (None, own)
     ]
 
 
@@ -190,10 +181,9 @@ def _interleave(
     picture = np.random.default_rng(1).random((size[1], size[0], 3), np.float32)
     for _ in range(3):
         cv2.GaussianBlur(picture, (0, 0), 5)
-    for cell in (
-        cells
-    ):  # loads, allocates, uploads: not counted, unless so slow that it hardly matters
+    for cell in cells:
         _ = cell.run  # renders the steps before it
+        # loads, allocates, uploads: not counted, unless so slow that it hardly matters
         seconds = WALL.of(cell.render)
         if seconds > SLOW_S:
             _record(cell, seconds, picture)
@@ -208,52 +198,3 @@ def _record(cell: Cell, seconds: float, picture: np.ndarray) -> None:
     cv2.GaussianBlur(picture, (0, 0), 5)
     cell.seconds.append(seconds)
     cell.yardstick_s.append(time.perf_counter() - start)
-
-
-@dataclass
-class Runs:
-    """What was timed for one entry of the price list: terms and seconds, run by run."""
-
-    terms: list[Mapping[str, float]] = field(default_factory=list)
-    seconds: list[float] = field(default_factory=list)
-
-    def add(self, terms: Mapping[str, float], seconds: float) -> None:
-        self.terms.append(terms)
-        self.seconds.append(max(seconds, 1e-7))
-
-
-@dataclass(frozen=True)
-class Stopwatch:
-    """Seconds of work, less those in which numba compiled for it: later work is spared them.
-
-    processor : processor time, which other programs disturb least, not wall-clock time;
-    divided by the threads that work at
-    once, both are the same on a machine that does nothing else
-    pool, concurrency : so many of its threads do the same work at once, as in a job"""
-
-    processor: bool = False
-    pool: ThreadPoolExecutor | None = None
-    concurrency: int = 1
-
-    def of(self, work: Callable[[], Any]) -> float:
-        clock, compiling = time.process_time if self.processor else time.perf_counter, [0.0]
-        start = clock()
-        with install_timer("numba:compile", compiling.append):
-            work()
-        return max(clock() - start - sum(compiling), 0.0)
-
-    def of_concurrent(self, work: Callable[[], Any]) -> float:
-        """Of one run, as many at once as `concurrency`."""
-        assert self.pool is not None
-        if self.processor:
-            pool = self.pool
-            return (
-                self.of(lambda: list(pool.map(lambda _: work(), range(self.concurrency))))
-                / self.concurrency
-            )
-        return float(
-            np.mean(list(self.pool.map(lambda _: self.of(work), range(self.concurrency))))
-        )
-
-
-WALL = Stopwatch()

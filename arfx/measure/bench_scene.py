@@ -13,7 +13,6 @@ from arfx.core.camera import Camera
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.marker import MarkerSpec
 from arfx.core.model import Material, Model, Part, Texture
-from arfx.core.numerics import normalise
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.real_depth import RealDepth, tile_ranges
 from arfx.core.rect import Rect
@@ -28,35 +27,23 @@ def ball(longitudes: int = _LONGITUDES, latitudes: int = _LATITUDES) -> Model:
     """A unit-diameter sphere, z up, smooth normals, textured so that texture lookups are
     timed too.
     """
-    theta = np.linspace(0, np.pi, latitudes + 1)
-    phi = np.linspace(0, 2 * np.pi, longitudes + 1)
-    t, p = np.meshgrid(theta, phi, indexing="ij")
-    normals = np.stack(
-        [np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], -1
-    ).reshape(-1, 3)
-    uv = np.stack([p / (2 * np.pi), t / np.pi], -1).reshape(-1, 2)
-    corner = np.arange(len(normals)).reshape(t.shape)
-    a, b = corner[:-1, :-1], corner[1:, :-1]
-    faces = np.concatenate(
-        [np.stack([a, b, a + 1], -1)[1:], np.stack([b, b + 1, a + 1], -1)[:-1]]
-    ).reshape(-1, 3)
-    y, x = np.indices((128, 256))
-    squares = ((x // 16 + y // 16) % 2).astype(np.uint8)
-    texture = np.dstack(
-        [
-            90 + 130 * squares,
-            120 + 60 * squares,
-            np.full_like(squares, 60),
-            np.full_like(squares, 255),
-        ]
-    )
+    import trimesh
+
+    sphere = trimesh.creation.uv_sphere(0.5, (latitudes, longitudes // 2))
+    normals = 2 * np.asarray(sphere.vertices)
+    turn = np.arctan2(normals[:, 1], normals[:, 0])
+    tilt = np.arccos(np.clip(normals[:, 2], -1, 1))
+    uv = np.stack([turn / (2 * np.pi) % 1, tilt / np.pi], -1)
+    squares = np.kron(np.indices((8, 16)).sum(0) % 2, np.ones((16, 16), int))[..., None]
+    texture = np.where(squares, (220, 180, 60, 255), (90, 120, 60, 255))
     material = Material(
         "ball",
         base_colour=(1.0, 1.0, 1.0, 1.0),
         base_texture=Texture(texture.astype(np.uint8)),
         roughness=0.6,
     )
-    part = Part(normals / 2, faces.astype(np.int32), normalise(normals), material, uv)
+    faces = np.asarray(sphere.faces, np.int32)
+    part = Part(normals / 2, faces, normals, material, uv)
     return Model((part,), up="z", source="benchmark ball")
 
 
@@ -99,19 +86,16 @@ def bench_scene(
     covered : fraction of the picture that it covers;  model : another ball than the standard one
     """
     focal = 0.9 * max(width, height)
-    camera = Camera(
-        width,
-        height,
-        np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]]),
-    )
+    middle_x, middle_y = (width - 1) / 2, (height - 1) / 2
+    matrix = np.array([[focal, 0, middle_x], [0, focal, middle_y], [0, 0, 1.0]])
+    camera = Camera(width, height, matrix)
     model, marker = model or ball(), MarkerSpec("36h11", 0, 0.15)
     radius_px = np.sqrt(covered * width * height / np.pi)
     # a sphere's outline subtends asin(r / d): tan of it times the focal length is the
     # radius in the picture
     distance = _DIAMETER_M / 2 / np.sin(np.arctan(radius_px / focal))
-    rotation = rotation_from_euler_deg(180, 0, 0) @ rotation_from_euler_deg(
-        -_TILT_DEG, 0, 0
-    )
+    down, tilt = (rotation_from_euler_deg(turn, 0, 0) for turn in (180, -_TILT_DEG))
+    rotation = down @ tilt
     centre = np.array([0, 0, _DIAMETER_M / 2])
     pose = Pose(rotation, np.array([0, 0, distance]) - rotation @ centre)
     scene = Scene(
@@ -130,7 +114,5 @@ def bench_scene(
         opacity=1.0,
     )
     (facts,) = with_model([seen], scene)
-    plate = (
-        np.random.default_rng(0).uniform(0.05, 0.8, (height, width, 3)).astype(np.float32)
-    )
-    return BenchScene(scene, facts, plate)
+    plate = np.random.default_rng(0).uniform(0.05, 0.8, (height, width, 3))
+    return BenchScene(scene, facts, plate.astype(np.float32))

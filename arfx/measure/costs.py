@@ -11,12 +11,14 @@ from __future__ import annotations
 import itertools
 import json
 import time
+import tomllib
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.optimize import nnls
@@ -29,32 +31,15 @@ from arfx.core.model import Model, Texture
 from arfx.core.numerics import normalise
 from arfx.core.stage import Stage
 from arfx.core.waiting import Progress
-from arfx.measure.bench import Cell, Runs, Stopwatch, check, make_cells
+from arfx.measure.bench import Cell, check, make_cells
 from arfx.measure.bench_scene import BenchScene, ball, bench_scene
 from arfx.measure.costs_output import time_output
+from arfx.measure.timing import Runs, Stopwatch
 from arfx.run.folder import write
 from arfx.run.job import MOST_THREADS, worker_count
 from arfx.stages import ON_DEPTH, STAGES
 
-# Width, height, fraction of the picture under the object, (longitudes, latitudes): 720 to
-# 24,000 triangles; its shape (SHAPES), and whether depth was measured. Small ones come early: they
-# tell what a frame costs by itself.
-SCENES = (
-    (640, 480, 0.08, (60, 51), "pile", False),
-    (160, 120, 0.1, (60, 51), "ball", True),
-    (320, 240, 0.3, (20, 19), "pile", True),
-    (1280, 720, 0.04, (60, 51), "ball", False),
-    (640, 360, 0.2, (60, 51), "textured", False),
-    (480, 360, 0.15, (120, 101), "pile", True),
-    (960, 540, 0.25, (20, 19), "ball", False),
-)
-# Of levels `reference`, each on the first two that show its effect.
-SLOW_SCENES = (
-    (64, 64, 0.08, (20, 19), "ball", False),
-    (96, 64, 0.1, (60, 51), "pile", True),
-    (160, 120, 0.1, (20, 19), "ball", False),
-    (128, 96, 0.3, (60, 51), "pile", True),
-)
+SCENES = Path(__file__).with_suffix(".toml")
 LIMIT_S = 55.0
 PREPARE_S = (
     1.0  # of one level: preparing it again and again would take all the time there is
@@ -146,60 +131,49 @@ def calibrate(
     began = time.perf_counter()
     timed: dict[str, Runs] = defaultdict(Runs)
     alone: list[float] = []
-    plan = (
-        [(s, False) for s in SCENES[:3]]
-        + [(s, True) for s in SLOW_SCENES]
-        + [(s, False) for s in SCENES[3:]]
-    )
     with ThreadPoolExecutor(concurrency) as pool:
         watch = Stopwatch(processor, pool, concurrency)
         if stage is None:
-            time_output(
-                timed, watch, lambda done, total: progress("calibrate output", done, total)
-            )
-        for k, ((width, height, covered, triangles, shape, deep), slow) in enumerate(plan):
+            time_output(timed, watch, partial(progress, "calibrate output"))
+        scenes = tomllib.loads(SCENES.read_text(encoding="utf-8"))["scene"]
+        for k, scene in enumerate(scenes):
             if time.perf_counter() - began > limit_s:
                 break
-            at = bench_scene(
-                width,
-                height,
-                covered,
-                SHAPES[shape](*triangles),
-            )
-            alone += _time_scene(at.with_depth() if deep else at, slow, stage, timed, watch)
-            progress("calibrate scenes", k + 1, len(plan))
-    prices = {}
-    for key, runs in timed.items():
-        name = key.removeprefix("prepare ").split("/")[0]
-        of = STAGES.get(name, Stage)  # encoding and the like: the usual terms
-        deep = "depth" in of.facts and name not in ON_DEPTH
-        depth_terms = ("depth_mpx",) if deep else ()
-        prices[key] = fit(
-            runs,
-            (
-                ("frames", "mfaces")
-                if key.startswith("prepare ")
-                else dict.fromkeys((*of.terms, *depth_terms))
-            ),
-        )
-    for (
-        key,
-        shipped,
-    ) in shipped_prices().prices.items():  # of levels for which there was no time
-        if key.removeprefix("prepare ").split("/")[0] in (
-            STAGES if stage is None else [stage]
-        ):
-            prices.setdefault(
-                key, replace(shipped, spread=max(shipped.spread, UNCALIBRATED))
-            )
-    source = f"measured on this machine in {time.perf_counter() - began:.0f} s"
+            model = SHAPES[scene["shape"]](*scene["triangles"])
+            width, height = scene["size"]
+            at = bench_scene(width, height, scene["covered"], model)
+            at = at.with_depth() if scene["deep"] else at
+            alone += _time_scene(at, scene["slow"], stage, timed, watch)
+            progress("calibrate scenes", k + 1, len(scenes))
+    prices = {key: fit(runs, _terms_of(key)) for key, runs in timed.items()}
+    for key, shipped in shipped_prices().prices.items():
+        if _stage_of(key) in (STAGES if stage is None else [stage]):
+            # of levels for which there was no time
+            spread = max(shipped.spread, UNCALIBRATED)
+            prices.setdefault(key, replace(shipped, spread=spread))
+    share = float(np.clip(np.median(alone), 0.1, 1.0)) if alone else 1.0
     return Prices(
         prices,
         concurrency,
-        source,
+        f"measured on this machine in {time.perf_counter() - began:.0f} s",
         True,
-        float(np.clip(np.median(alone), 0.1, 1.0)) if alone else 1.0,
+        share,
     )
+
+
+def _stage_of(key: str) -> str:
+    """Of an entry of the price list: "dof" of "prepare dof/draft"."""
+    return key.removeprefix("prepare ").partition("/")[0]
+
+
+def _terms_of(key: str) -> Collection[str]:
+    """Of an entry of the price list."""
+    if key.startswith("prepare "):
+        return "frames", "mfaces"
+    name = _stage_of(key)
+    stage = STAGES.get(name, Stage)  # encoding and the like: the usual terms
+    deep = "depth" in stage.facts and name not in ON_DEPTH
+    return dict.fromkeys((*stage.terms, *(("depth_mpx",) if deep else ())))
 
 
 def save_prices(prices: Prices) -> Path:
@@ -225,47 +199,58 @@ def _time_scene(
 
     Returns what one thread alone took, as a fraction of what it took among others: of the
     runs that are long enough."""
-    best = {name: cls.levels[-1] for name, cls in STAGES.items() if len(cls.levels) > 1}
-    alone = []
-    for cell in (
-        c for c in make_cells(at, stage, None) if (best.get(c.stage) == c.level) == slow
-    ):
-        key = f"{cell.stage}/{cell.level}"
+    alone: list[float] = []
+    for cell in make_cells(at, stage, None):
+        levels, key = cell.stage.levels, f"{cell.stage.name}/{cell.level}"
+        if (len(levels) > 1 and cell.level == levels[-1]) != slow:
+            continue
         prepared, runs = timed[f"prepare {key}"], timed[key]
-        if slow and len({t["mpx"] for t in runs.terms}) > 1:
+        if slow and len({terms["mpx"] for terms in runs.terms}) > 1:
             continue
         if sum(prepared.seconds) < PREPARE_S:
-            seconds = watch.of(partial(cell.frame.prepared.at, cell.stage, cell.level))
-            prepared.add(cell.terms(), seconds)
-        terms = cell.terms()
-        own = STAGES[cell.stage].terms
-        new = [t for t in own if t.startswith("new_")]
-        if slow:  # seconds long: what loading it takes hardly shows
-            for once in [dict.fromkeys(new, 1.0), {}] if new else [{}]:
-                runs.add({**terms, **once}, watch.of(cell.render))
-            continue
-        perturbed = _perturbed_light(at)
+            prepare = partial(cell.frame.prepared.at, cell.stage, cell.level)
+            prepared.add(cell.terms(), watch.of(prepare))
+        if slow:
+            _time_slow(cell, runs, watch)
+        else:
+            alone += _time_fast(cell, at, runs, watch)
+    return alone
 
-        def render(
-            cell: Cell = cell, perturbed: Callable[[], FrameFacts] = perturbed
-        ) -> None:
-            cell.render(perturbed())
 
-        render()  # compiles, loads, makes what is kept for this light
+def _once(cell: Cell) -> list[str]:
+    """Terms of what is done once for a new light."""
+    return [term for term in cell.stage.terms if term.startswith("new_")]
+
+
+def _time_slow(cell: Cell, runs: Runs, watch: Stopwatch) -> None:
+    """Seconds long: what loading it takes hardly shows."""
+    once = dict.fromkeys(_once(cell), 1.0)
+    for new in [once, {}] if once else [{}]:
+        runs.add({**cell.terms(), **new}, watch.of(cell.render))
+
+
+def _time_fast(cell: Cell, at: BenchScene, runs: Runs, watch: Stopwatch) -> list[float]:
+    """Returns as `_time_scene`."""
+    terms, new, alone = cell.terms(), _once(cell), []
+    perturbed = _perturbed_light(at)
+
+    def render() -> None:
+        cell.render(perturbed())
+
+    render()  # compiles, loads, makes what is kept for this light
+    runs.add(terms, watch.of_concurrent(render))
+    if runs.seconds[-1] < LONG_RUN_S:
         runs.add(terms, watch.of_concurrent(render))
-        if runs.seconds[-1] < LONG_RUN_S:
-            runs.add(terms, watch.of_concurrent(render))
-        if SHORT_RUN_S < runs.seconds[-1] < LONG_RUN_S:
-            alone.append(watch.of(render) / runs.seconds[-1])
-        ambient = replace(perturbed(), light=Light(ambient_rgb=(0.5, 0.5, 0.5), lights=()))
-        if any(cell.terms(ambient)[t] != terms[t] for t in own if t not in new):
-            cell.render(ambient)
-            runs.add(
-                cell.terms(ambient), watch.of_concurrent(partial(cell.render, ambient))
-            )
-        for term in new:
-            seconds = watch.of_concurrent(partial(cell.render, _new_light(at, runs)))
-            runs.add({**terms, term: 1.0}, seconds)
+    if SHORT_RUN_S < runs.seconds[-1] < LONG_RUN_S:
+        alone.append(watch.of(render) / runs.seconds[-1])
+    ambient = replace(perturbed(), light=Light(ambient_rgb=(0.5, 0.5, 0.5), lights=()))
+    fewer = cell.terms(ambient)
+    if any(fewer[t] != terms[t] for t in cell.stage.terms if t not in new):
+        cell.render(ambient)
+        runs.add(fewer, watch.of_concurrent(partial(cell.render, ambient)))
+    for term in new:
+        seconds = watch.of_concurrent(partial(cell.render, _new_light(at, runs)))
+        runs.add({**terms, term: 1.0}, seconds)
     return alone
 
 
@@ -275,10 +260,8 @@ def sphere_cluster(longitudes: int, latitudes: int) -> Model:
     """
     whole = ball(longitudes, latitudes)
     (one,) = ball(max(longitudes // 3, 8), max(latitudes // 3, 6)).parts
-    positions = (
-        np.array([(x, y, 0.3 * abs(x * y)) for x in (-1, 0, 1) for y in (-1, 0, 1)], float)
-        * 0.35
-    )
+    rows, columns = np.indices((3, 3)).reshape(2, -1) - 1
+    positions = 0.35 * np.stack([rows, columns, 0.3 * abs(rows * columns)], -1)
     parts = tuple(replace(one, vertices=one.vertices * 0.33 + at) for at in positions)
     return Model(parts, up=whole.up, source="benchmark pile")
 
@@ -292,14 +275,9 @@ def textured_ball(longitudes: int, latitudes: int) -> Model:
     # along the picture's rows, to the east
     east = np.stack([-one.normals[:, 1], one.normals[:, 0], np.zeros(len(one.normals))], -1)
     tangents = np.column_stack([normalise(east), np.ones(len(east))])
-    material = replace(
-        one.material,
-        base_texture=texture,
-        metallic_roughness_texture=texture,
-        emissive_texture=texture,
-        normal_texture=texture,
-        occlusion_texture=texture,
-    )
+    names = ("base", "metallic_roughness", "emissive", "normal", "occlusion")
+    textures: dict[str, Any] = {f"{name}_texture": texture for name in names}
+    material = replace(one.material, **textures)
     part = replace(one, material=material, tangents=tangents)
     return Model((part,), up="z", source="benchmark ball with textures")
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from arfx.core.rect import Rect
 from arfx.errors import ArfxError
-from arfx.measure.bench import Runs, Stopwatch
+from arfx.measure.timing import Runs, Stopwatch
 from arfx.media.clip import ClipInfo, probe
 from arfx.media.codecs import CODECS, create_container
 from arfx.media.frame import Frame

@@ -58,22 +58,23 @@ def difference(reference: np.ndarray, test: np.ndarray, where: np.ndarray) -> Di
     """
     if not where.any():
         return Difference()
-    ys, xs = np.nonzero(where.any(1))[0], np.nonzero(where.any(0))[0]
-    box = Rect(int(xs[0]), int(ys[0]), int(xs[-1]) + 1, int(ys[-1]) + 1)
+    x, y, width, height = cv2.boundingRect(where.astype(np.uint8))
+    box = Rect(x, y, x + width, y + height)
     seen = box.pad(MARGIN_PX).clip(Rect.of(where.shape[1], where.shape[0]))
     a, b, inside = reference[seen.slices], test[seen.slices], where[seen.slices]
     apart = level_difference(a, b)
     values = apart[inside]
     if not values.any():
         return Difference(pixels=len(values))
-    y, x = np.unravel_index(int(np.argmax(np.where(inside, apart, -1))), apart.shape)
+    worst = int(np.argmax(np.where(inside, apart, -1)))
+    worst_y, worst_x = divmod(worst, apart.shape[1])
     return Difference(
         float(values.mean()),
         float(np.percentile(values, 99)),
         float(flip_map(a, b)[inside].mean()),
         float(delta_e(a[inside], b[inside]).mean()),
         float(ssim_map(a, b)[inside].mean()),
-        (int(x) + seen.x0, int(y) + seen.y0),
+        (worst_x + seen.x0, worst_y + seen.y0),
         len(values),
     )
 

@@ -9,7 +9,7 @@ holds the ids seen."""
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -31,8 +31,8 @@ from arfx.core.numerics import angle_between, divide
 from arfx.core.pose import Pose
 from arfx.measure.truth import quantiles
 from arfx.media.clip import PHOTO, ClipInfo
-from arfx.media.codecs import open_video
-from arfx.media.frames import ClipReader, read_on
+from arfx.media.frame import Frame
+from arfx.media.frames import ClipReader
 
 MIN_SIDE_PX = 12.0  # smaller squares are found in any texture
 _UNIT = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
@@ -89,90 +89,62 @@ def inspect(
     camera : of the clip's picture size; with it the markers' tilt is reported;  samples :
     frames that are searched, >= 1
     Raises InputError where no frame can be decoded."""
-    pts = presentation_times(info)
-    at = sorted(
-        {
-            round(i)
-            for i in np.linspace(0, max(len(pts) - 1, 0), max(min(samples, len(pts)), 1))
-        }
-    )
-    whole = len(pts) <= READ_WHOLE
     detector = MarkerDetector(SCANNED_FAMILIES, MIN_SIDE_PX)
     found: dict[str, Found] = {}
-    levels, clipped, dark, thumbnails = [], [], [], []
+    looked: dict[int, tuple[float, ...]] = {}  # light of the frames that are searched
+    thumbnails = []
     lowest, highest = (0, 255) if info.full_range else (16, 235)
-    looked, read = [], 0
     with ClipReader(info) as reader:
-        for frame in (
-            reader.frames()
-            if whole
-            else (f for i in at for f in islice(reader.frames(pts[i], pts[i], i), 1))
-        ):
-            read += 1
+        times = reader.times()
+        pts = times.pts if times else [frame.pts for frame in reader.frames()]
+        whole, last = len(pts) <= READ_WHOLE, max(len(pts) - 1, 0)
+        count = max(min(samples, len(pts)), 1)
+        at = {round(i) for i in np.linspace(0, last, count)}
+        for frame in reader.frames() if whole else _frames_at(reader, pts, sorted(at)):
             luma = frame.luma()
             if whole:
                 thumbnails.append(thumbnail(luma))
-                if frame.index not in at:
-                    continue
-            looked.append(frame.index)
-            levels.append(float(divide(float(luma.mean()) - lowest, highest - lowest)))
-            clipped.append(float((luma >= highest).mean()))
-            dark.append(float((luma <= lowest).mean()))
-            _record(found, detector.search(luma), frame.index, luma, camera)
+            if frame.index in at:
+                level = divide(float(luma.mean()) - lowest, highest - lowest)
+                ends = (luma >= highest).mean(), (luma <= lowest).mean()
+                looked[frame.index] = (float(level), *map(float, ends))
+                _record(found, detector.search(luma), frame.index, luma, camera)
         truncated = reader.truncated
     markers, left_out = confirmed(found)
-    seen = {i for m in markers for i in m.frames}
+    levels, clipped, dark = zip(*looked.values(), strict=True) if looked else ((), (), ())
+    one, two = (unlikeness(thumbnails, apart) for apart in (1, 2))
     return {
         "clip": {
             **info.to_json(),
-            "frames": read if whole else len(pts),
-            **_times(pts, info),
+            "frames": len(thumbnails) if whole else len(pts),
+            **_times(pts or [info.start_pts], info),
             "truncated": truncated,
         },
-        "samples": looked,
+        "samples": list(looked),
         "markers": [
             {**m.to_json(len(looked)), "size_of_first": relative_size(markers[0], m)}
             for m in markers
         ],
         "left_out": [m.to_json(len(looked)) for m in left_out],
-        "marker_coverage": float(divide(len(seen), len(looked))),
+        "marker_coverage": float(
+            divide(len({i for m in markers for i in m.frames}), len(looked))
+        ),
         "light": {
             "mean_level": _spread(levels),
             "clipped_fraction": max(clipped, default=0.0),
             "black_fraction": max(dark, default=0.0),
             "level_change": max(levels, default=0.0) - min(levels, default=0.0),
         },
-        "cuts": (
-            find_cuts(
-                unlikeness(thumbnails, 1),
-                unlikeness(thumbnails, 2),
-                [False] * len(thumbnails),
-            )
-            if whole
-            else None
-        ),
+        "cuts": find_cuts(one, two, [False] * len(thumbnails)) if whole else None,
         "camera": None if camera is None else camera.source,
     }
 
 
-def presentation_times(info: ClipInfo) -> list[int]:
-    """Presentation times of the packets in stream ticks, sorted; reads the index, decodes
-    nothing.
-    """
-    with open_video(info.path) as container:
-        stream = container.streams[info.stream_index]
-        times = []
-        for packet in read_on(container, [stream]):
-            t = (
-                None
-                if isinstance(packet, Exception)
-                else packet.pts
-                if packet.pts is not None
-                else packet.dts
-            )
-            if t is not None and t >= info.start_pts:
-                times.append(int(t))
-    return sorted(set(times)) or [info.start_pts]
+def _frames_at(
+    reader: ClipReader, pts: Sequence[int], at: Sequence[int]
+) -> Iterator[Frame]:
+    for i in at:
+        yield from islice(reader.frames(pts[i], pts[i], i), 1)
 
 
 def _times(pts: Sequence[int], info: ClipInfo) -> dict[str, Any]:

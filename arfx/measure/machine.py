@@ -107,12 +107,11 @@ def essentials_work(checks: list[Check]) -> bool:
 
 def _python() -> Iterator[Check]:
     ok = sys.version_info >= (3, 11)
-    version = f"{platform.python_version()}, {platform.platform()}"
     yield Check(
         "python",
         "python",
         ok,
-        version,
+        f"{platform.python_version()}, {platform.platform()}",
         "" if ok else "install Python 3.11 or newer",
         essential=True,
     )
@@ -127,13 +126,12 @@ def _python() -> Iterator[Check]:
         _version,
         ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "pyrender"),
     ):
-        fix = f"pip uninstall {name}, then install its counterpart above again"
         yield Check(
             "package",
             name,
             False,
             "installs over the same folder as a package that arfx needs",
-            fix,
+            f"pip uninstall {name}, then install its counterpart above again",
         )
 
 

@@ -22,6 +22,7 @@ from arfx.core.opener import read_text, regular
 from arfx.core.pose import Pose
 from arfx.errors import InputError, RenderError
 from arfx.run.folder import JobFolder, load_previews, write
+from arfx.run.pages import render
 
 Pictures = Sequence[tuple[int, np.ndarray, np.ndarray]]
 
@@ -41,11 +42,18 @@ def write_report(
     camera, points_m : with both, (n, 3) world points whose place in the picture is plotted
     before and after smoothing Returns the path of report.html. Raises RenderError where the
     folder cannot be written."""
-    from arfx.measure.report_html import page, pose_plot, timing_plot
+    from arfx.measure.plots import STATUS_COLOUR, pose_plot
 
     document = finite(report)
-    plots = {"pose": pose_plot(facts, camera, points_m), "timing": timing_plot(document)}
-    html = page(document, facts, before_after, plots)
+    html = render(
+        "measure/report.html",
+        clip=Path(str(document["input"]["path"])).name,
+        report=document,
+        times={f.index: f.time_s for f in facts},
+        pictures=before_after,
+        pose_plot=pose_plot(facts, camera, points_m),
+        colours=STATUS_COLOUR,
+    )
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as e:
@@ -88,20 +96,18 @@ def report_of_job(job: Path, folder: Path) -> Path:
 def read_report(job: Path) -> dict[str, Any]:
     """report.json of a finished job. Raises InputError."""
     files = JobFolder(job)
-    if not job.is_dir():
-        raise InputError(
-            f"there is no job folder {job}", "`arfx process ... --job DIR` keeps one"
-        )
-    if not files.job.exists():
-        raise InputError(
-            f"{job} is not a job folder: it holds no job.toml",
-            "`arfx process ... --job DIR` keeps one",
-        )
-    if not files.report.exists():
-        raise InputError(
+    keep = "`arfx process ... --job DIR` keeps one"
+    for there, what, hint in (
+        (job.is_dir(), f"there is no job folder {job}", keep),
+        (files.job.exists(), f"{job} is not a job folder: it holds no job.toml", keep),
+        (
+            files.report.exists(),
             f"the job in {job} is not finished",
             "run the same `arfx process` command again with --resume",
-        )
+        ),
+    ):
+        if not there:
+            raise InputError(what, hint)
     try:
         report = json.loads(read_text(files.report, "report"))
     except (RecursionError, ValueError) as e:

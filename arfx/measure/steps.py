@@ -7,9 +7,9 @@ ROI law)."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from arfx.core.plan import FramePlan
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, Stage
+from arfx.measure.timing import PROCESSOR
 from arfx.media.frames import ClipReader
 from arfx.run.frame import FrameLayers
 from arfx.run.planned import Job
@@ -30,30 +31,29 @@ from arfx.stages import RENDERER
 
 NEAR_PX = 16
 MOST_KEPT = 40
-Chain = tuple[
-    tuple[str, str], ...
-]  # (stage, level) in running order; a stage left out is absent
+SLOW_S = 1.0  # a step that took longer is always kept
+Chain = tuple[tuple[Stage, str], ...]  # levels in running order; a stage left out is absent
 
 
 @dataclass
 class PreparedStages:
-    """Stages, prepared once for all frames.
+    """Stages of a scene at their levels, each prepared once for all frames.
 
-    stages : by name, under the formula of the job or another one
+    prepare_s : processor time of that, by name and level
     """
 
     scene: Scene
-    stages: Mapping[str, Stage]
-    ready: dict[tuple[str, str], ReadyStage] = field(default_factory=dict)
+    ready: dict[tuple[Stage, str], ReadyStage] = field(default_factory=dict)
     prepare_s: dict[tuple[str, str], float] = field(default_factory=dict)
 
-    def at(self, stage: str, level: str) -> ReadyStage:
-        key = (stage, level)
-        if key not in self.ready:
-            start = time.process_time()
-            self.ready[key] = ReadyStage.of(self.stages[stage], self.scene, level)
-            self.prepare_s[key] = time.process_time() - start
-        return self.ready[key]
+    def at(self, stage: Stage, level: str) -> ReadyStage:
+        if (stage, level) not in self.ready:
+            seconds = PROCESSOR.of(partial(self._prepare, stage, level))
+            self.prepare_s[stage.name, level] = seconds
+        return self.ready[stage, level]
+
+    def _prepare(self, stage: Stage, level: str) -> None:
+        self.ready[stage, level] = ReadyStage.of(stage, self.scene, level)
 
 
 @dataclass(frozen=True)
@@ -66,11 +66,8 @@ class StageRun:
 
     def need(self, out: Rect) -> Rect:
         scene = self.at.scene
-        return (
-            self.at.stage.needs(out, self.facts, scene, self.at.level)
-            .union(out)
-            .clip(scene.camera.rect)
-        )
+        read = self.at.stage.needs(out, self.facts, scene, self.at.level)
+        return read.union(out).clip(scene.camera.rect)
 
     def __call__(self, out: Rect, facts: FrameFacts | None = None) -> Mapping[Layer, Any]:
         """What it makes of `out`. facts : others than the frame's"""
@@ -86,21 +83,26 @@ class StageRun:
 class FrameRenderer:
     """A frame and all that was rendered of it.
 
-    plate : (h, w, 3) linear, whole frame;  plan : at the job's own levels;  window : what
-    is rendered
-    slow : (stage, level) whose pictures are slow to render, and kept;  real_depth_m : (h,
-    w) whole frame, None = not measured
+    plate : (h, w, 3) linear, whole frame;  plan : of the job;  stages : of the plan, by name
+    window : what is rendered;  real_depth_m : (h, w) whole frame, None = not measured
+    seconds : processor time of the last step of each chain that was rendered
     """
 
     facts: FrameFacts
     plate: np.ndarray
     plan: FramePlan
+    stages: Mapping[str, Stage]
     window: Rect
     prepared: PreparedStages
-    slow: frozenset[tuple[str, str]] = frozenset()
     real_depth_m: np.ndarray | None = None
     rendered: dict[Chain, FrameLayers] = field(default_factory=dict, init=False)
     images: dict[Chain, np.ndarray] = field(default_factory=dict, init=False)
+    seconds: dict[Chain, float] = field(default_factory=dict, init=False)
+
+    def chain(self, levels: Mapping[str, str]) -> Chain:
+        """levels : by stage; one that has none is left out"""
+        names = [s.stage for s in self.plan.steps if s.stage in levels]
+        return tuple((self.stages[name], levels[name]) for name in names)
 
     def run(self, chain: Chain) -> StageRun:
         """Its last step, upon those before it."""
@@ -117,9 +119,9 @@ class FrameRenderer:
         """The same of the frame as it was."""
         return _srgb8(self.plate[self.window.slices])
 
-    def coverage(self, chain: Chain) -> np.ndarray:
-        """(h, w) of the window."""
-        return np.asarray(self.after(chain).view(self.window)[Layer.COVERAGE])
+    def layer(self, chain: Chain, name: Layer) -> np.ndarray:
+        """(h, w, …) of the window after these steps."""
+        return np.asarray(self.after(chain).view(self.window)[name])
 
     def after(self, chain: Chain) -> FrameLayers:
         """The frame after these steps; those before the last are looked up, or made and kept."""
@@ -131,43 +133,48 @@ class FrameRenderer:
             layers.stored = dict(self.after(chain[:-1]).stored)
             out = self.out(chain)
             if not out.empty:
-                run = self.run(chain)
-                for layer, array in run(out).items():
-                    layers.put(layer, array, run.need(out), out)
+                render = partial(_render, self.run(chain), out, layers)
+                self.seconds[chain] = PROCESSOR.of(render)
         elif self.real_depth_m is not None:
             layers.put(Layer.REAL_DEPTH, self.real_depth_m, layers.rect, layers.rect)
         self.rendered[chain] = layers
-        cheap = [c for c in self.rendered if not self.slow.intersection(c)]
+        cheap = [c for c in self.rendered if self._dearest_s(c) < SLOW_S]
         if len(cheap) > MOST_KEPT:
             del self.rendered[cheap[0]]
         return layers
+
+    def _dearest_s(self, chain: Chain) -> float:
+        """Of its slowest step."""
+        prefixes = (chain[: k + 1] for k in range(len(chain)))
+        return max((self.seconds.get(prefix, 0.0) for prefix in prefixes), default=0.0)
 
     def out(self, chain: Chain) -> Rect:
         """Of what the plan asks of the chain's last stage, that which the later stages need
         for the window.
         """
-        name, _ = chain[-1]
+        name, want = chain[-1][0].name, self.window
         planned = {s.stage: s.out for s in self.plan.steps}
-        want, order, scene = self.window, list(planned), self.prepared.scene
+        order = list(planned)
         for later in reversed(order[order.index(name) + 1 :]):
-            s = self.prepared.stages[later]
+            stage = self.stages[later]
             part = want.clip(planned[later])
             if not part.empty:
-                need = s.needs(part, self.facts, scene, s.levels[-1])
+                need = stage.needs(part, self.facts, self.prepared.scene, stage.levels[-1])
                 # the renderer takes the real frame alone from far away
                 near = need.clip(part.pad(NEAR_PX)) if later in RENDERER else need
                 want = want.union(near)
         return planned[name].clip(want)
 
 
-def open_frames(
-    job: Job,
-    wanted: Collection[int],
-    prepared: PreparedStages,
-    slow: frozenset[tuple[str, str]] = frozenset(),
-) -> dict[int, FrameRenderer]:
+def _render(run: StageRun, out: Rect, layers: FrameLayers) -> None:
+    for layer, array in run(out).items():
+        layers.put(layer, array, run.need(out), out)
+
+
+def open_frames(job: Job, wanted: Collection[int]) -> dict[int, FrameRenderer]:
     """These frames of a job, whole, by number."""
     camera, maps, out = job.inputs.camera, job.inputs.depth, {}
+    prepared = PreparedStages(job.scene)
     plans = {p.index: p for p in job.plan.frames}
     facts = {f.index: f for f in job.facts}
     pts = {job.analysed.pts[i]: i for i in wanted}
@@ -183,7 +190,7 @@ def open_frames(
             )
             plate = frame.linear(camera.rect)
             out[i] = FrameRenderer(
-                facts[i], plate, plans[i], camera.rect, prepared, slow, depth
+                facts[i], plate, plans[i], job.stages, camera.rect, prepared, depth
             )
     return out
 
@@ -198,18 +205,11 @@ def window_of(plan: FramePlan, facts: FrameFacts, frame: Rect, area_px: float) -
     scale = np.sqrt(area_px / whole.area)
     width = max(round(whole.width * scale), 16)
     height = max(round(whole.height * scale), 16)
-    cx, cy = (
-        (box.x0 + box.x1) // 2,
-        (box.y0 + box.y1) // 2 + box.height // 8,
-    )  # a little of the shadow rather than the top
+    # a little of the shadow rather than the top
+    cx, cy = (box.x0 + box.x1) // 2, (box.y0 + box.y1) // 2 + box.height // 8
     x0 = min(max(cx - width // 2, whole.x0), max(whole.x1 - width, whole.x0))
     y0 = min(max(cy - height // 2, whole.y0), max(whole.y1 - height, whole.y0))
     return Rect(x0, y0, x0 + width, y0 + height).clip(whole).clip(frame)
-
-
-def chain_of(plan: FramePlan, levels: Mapping[str, str]) -> Chain:
-    """levels : a stage without one is left out"""
-    return tuple((s.stage, levels[s.stage]) for s in plan.steps if s.stage in levels)
 
 
 def _srgb8(linear: np.ndarray) -> np.ndarray:

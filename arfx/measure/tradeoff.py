@@ -12,28 +12,20 @@ REFERENCE_S together.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import cv2
 import numpy as np
 
-from arfx.core.cost import Prediction, Prices, measured, sum_independent
-from arfx.core.rect import Rect
+from arfx.core.cost import Prediction, sum_independent
+from arfx.core.layers import Layer
 from arfx.core.stage import Stage, level_named
 from arfx.core.waiting import Progress
 from arfx.errors import NothingToDoError
 from arfx.measure.difference import Difference, difference, mean_flicker, touched
-from arfx.measure.steps import (
-    Chain,
-    FrameRenderer,
-    PreparedStages,
-    chain_of,
-    open_frames,
-    window_of,
-)
+from arfx.measure.steps import Chain, FrameRenderer, open_frames, window_of
 from arfx.measure.tradeoff_frames import Sample, pick_frames
 from arfx.measure.tradeoff_pipelines import (
     LEFT_OUT,
@@ -42,15 +34,17 @@ from arfx.measure.tradeoff_pipelines import (
     level_sets,
     worth_showing,
 )
-from arfx.measure.tradeoff_time import Times, areas_of, time_frame
+from arfx.measure.tradeoff_time import Times, fast
 from arfx.plan.planner import new_terms
-from arfx.run.parameters import stages_of, under_other_formula
+from arfx.run.parameters import stages_of
 from arfx.run.planned import Job
 from arfx.stages import ALWAYS
 
 REFERENCE_S, LEAST_PX = 60.0, 600
 # of a picture: comparing whole ones of 1080p took twice as long as the references
 MOST_PX = 600_000
+
+Levels = Mapping[str, str]  # by stage; one that is left out has none
 
 
 @dataclass
@@ -68,81 +62,65 @@ class Measurements:
 
 
 @dataclass
-class Setup:
-    """The job's stages, some of them under other settings.
-
-    frames : to render with them, by number;  times : of the stages that are others"""
-
-    prepared: PreparedStages
-    frames: dict[int, FrameRenderer] = field(default_factory=dict)
-    times: Times = field(default_factory=Times)
-
-
-@dataclass
 class _Work:
     """What the rows are made from.
 
-    main : the job's own settings;  base : levels of the steps before those that are timed;
-    best : all at reference
+    frames : by number, in the window of their pictures;  following : the one of them after
+    the first sample, of which flicker alone is measured
+    usual : levels of the job's quality;  best : all at reference
     """
 
     job: Job
-    samples: Sequence[Sample]
-    main: Setup
-    usual: Mapping[str, str]
-    base: Mapping[str, str]
-    best: Mapping[str, str]
-    slow: frozenset[tuple[str, str]]
-    new: Mapping[str, float]
-    found: Measurements
-    other_s: dict[str, Prediction] = field(
-        default_factory=dict
-    )  # by stage: its usual level under the other formula
-    parts: dict[frozenset[str], Setup] = field(default_factory=dict)  # by what is left
+    samples: Sequence[int]
+    frames: dict[int, FrameRenderer]
+    following: int | None
+    usual: Levels
+    best: Levels
+    times: Times
+    left: dict[frozenset[str], dict[str, Stage]] = field(default_factory=dict)
 
-    def with_stages(self, stages: Mapping[str, Stage]) -> Setup:
-        """These in place of the job's own."""
-        prepared = PreparedStages(self.job.scene, {**self.main.prepared.stages, **stages})
-        frames = {i: replace(b, prepared=prepared) for i, b in self.main.frames.items()}
-        return Setup(prepared, frames)
+    @property
+    def sampled(self) -> list[FrameRenderer]:
+        return [self.frames[i] for i in self.samples]
 
-    def setup(self, levels: Mapping[str, str]) -> Setup:
-        """Of the job without the stages that have no level here: those that are left may
-        have other settings then.
+    def stages(self, names: Collection[str]) -> Mapping[str, Stage]:
+        """Those of the job, or, where others of it are left out, those of a job without
+        them: they may have other settings then.
         """
-        if levels.keys() >= self.usual.keys():
-            return self.main
-        names = frozenset(levels)
-        if names not in self.parts:
-            left = [n for n in self.main.prepared.stages if n in names]
-            self.parts[names] = self.with_stages(
-                stages_of(self.job.inputs.config.params, left)
-            )
-        return self.parts[names]
+        own = self.job.stages
+        if self.usual.keys() <= set(names):
+            return own
+        key = frozenset(names)
+        if key not in self.left:
+            left = stages_of(self.job.inputs.config.params, [n for n in own if n in key])
+            self.left[key] = {
+                n: own[n] if repr(vars(stage)) == repr(vars(own[n])) else stage
+                for n, stage in left.items()
+            }
+        return self.left[key]
 
-    def image(self, index: int, levels: Mapping[str, str]) -> np.ndarray:
-        frame = self.setup(levels).frames[index]
-        return frame.image(chain_of(frame.plan, levels))
+    def chain(self, frame: FrameRenderer, levels: Levels) -> Chain:
+        stages = self.stages(levels)
+        return tuple((stages[stage.name], at) for stage, at in frame.chain(levels))
 
-    def time(self, levels: Mapping[str, str]) -> Prediction:
+    def image(self, frame: FrameRenderer, levels: Levels) -> np.ndarray:
+        return frame.image(self.chain(frame, levels))
+
+    def step_time(self, name: str, levels: Levels) -> Prediction:
+        """Of one step of a frame, upon what those before it make at their usual level."""
+        stages, names = self.stages(levels), list(levels)
+        before = [fast(stages[n], self.usual[n]) for n in names[: names.index(name)]]
+        return self.times.of((*before, (stages[name], levels[name])), self.sampled)
+
+    def time(self, levels: Levels) -> Prediction:
         """Of all steps of a frame."""
-        part, own = self.setup(levels), self.main.prepared.stages
-        changed = [n for n in levels if vars(part.prepared.stages[n]) != vars(own[n])]
-        wanted = {(n, levels[n]) for n in changed if part.times.of((n, levels[n])) is None}
-        self.measure(part, wanted, levels)
-        return sum_independent(
-            part.times.of(at) or self.main.times.of(at) or measured(0.0)
-            for at in levels.items()
-        )
+        return sum_independent(self.step_time(n, levels) for n in levels)
 
-    def measure(
-        self, setup: Setup, wanted: Collection[tuple[str, str]], among: Collection[str]
-    ) -> None:
-        """Time these levels of a setup's stages, upon those among which they run."""
-        base = {n: at for n, at in _levels(setup, self.base).items() if n in among}
-        for sample in self.samples if wanted else ():
-            whole = replace(setup.frames[sample.index], window=self.job.inputs.camera.rect)
-            time_frame(setup.times, whole, base, wanted, self.new)
+    def slow_chains(self, frame: FrameRenderer, sets: Iterable[Levels]) -> set[Chain]:
+        """The beginnings of these that end in a slow step."""
+        chains = [self.chain(frame, levels) for levels in sets]
+        beginnings = {c[: k + 1] for c in chains for k in range(len(c))}
+        return {c for c in beginnings if self.times.is_slow(c)}
 
 
 def measure(
@@ -152,109 +130,61 @@ def measure(
     only: Collection[str] | None = None,
     window_px: int | None = None,
 ) -> Measurements:
-    """job : up to its plan;  only : the levels of these effects under the job's formula,
-    and no pipelines; None = everything
-    window_px : area of the pictures, no reference is timed; None = as REFERENCE_S allows
+    """job : up to its plan;  only : the levels of these effects, and no pipelines; None =
+    everything
+    window_px : area of the pictures; None = as REFERENCE_S allows
 
     Raises NothingToDoError where no frame shows the object."""
-    stages = job.stages
     plans = {p.index: p for p in job.plan.frames}
-    samples = [
-        s
-        for s in pick_frames(job.facts, job.inputs.camera.rect, frames)
-        if plans[s.index].steps
-    ]
+    picked = pick_frames(job.facts, job.inputs.camera.rect, frames)
+    samples = [s for s in picked if plans[s.index].steps]
     if not samples:
         raise NothingToDoError(
             "no frame of the clip shows the object: there is nothing to measure",
             "see `arfx plan`",
         )
-    first = samples[0].index
-    names = [s.stage for s in plans[first].steps]
-    following = (
-        first + 1
-        if only is None
-        and first + 1 in plans
-        and [s.stage for s in plans[first + 1].steps] == names
-        else None
-    )
-    slow = frozenset(
-        (n, s.levels[-1])
-        for n, s in stages.items()
-        if s.levels[-1] == "reference" and _is_slow(n, job.prices)
-    )
-    quality = job.inputs.config.pipeline.quality
-    usual = {n: level_named(stages[n].levels, quality) for n in names}
-    work = _Work(
-        job,
-        samples,
-        Setup(PreparedStages(job.scene, stages)),
-        usual,
-        {n: usual[n] if (n, usual[n]) not in slow else stages[n].levels[-2] for n in names},
-        {n: stages[n].levels[-1] for n in names},
-        slow,
-        _new_light_fractions(job, names),
-        Measurements(samples, [], [], {}),
-    )
-    shown = [s.index for s in samples] + ([] if following is None else [following])
-    work.main.frames |= open_frames(job, shown, work.main.prepared, slow)
-    other = {
-        n: other
-        for n in names
-        if only is None and (other := under_other_formula(n, stages[n].params)) is not None
-    }
-    effects = [n for n in names if len(stages[n].levels) > 1 or n in other]
+    work = _opened(job, [s.index for s in samples], flicker=only is None)
+    effects = [n for n in work.usual if len(job.stages[n].levels) > 1]
     if only is not None:
         effects = [n for n in effects if n in only]
-    total = len(samples) + len(effects) + len(QUALITIES) + 2
-    for k, sample in enumerate(samples):
-        progress("times", k, total)
-        wanted = frozenset(
-            (n, level)
-            for n in (names if only is None else effects)
-            for level in stages[n].levels
-            if window_px is None or (n, level) not in slow
-        )
-        time_frame(
-            work.main.times, work.main.frames[sample.index], work.base, wanted, work.new
-        )
-    chains = [{**usual, n: work.best[n]} for n in effects]
-    _choose_windows(
-        work, chains if only is not None else [work.best, *chains], following, window_px
-    )
-    found = work.found
+    chains = [{**work.usual, n: work.best[n]} for n in effects]
+    _choose_windows(work, chains if only is not None else [work.best, *chains], window_px)
+    found = Measurements(samples, [], [], {i: f.window for i, f in work.frames.items()})
+    total = len(effects) + 2
     for k, name in enumerate(effects):
-        progress("effects", len(samples) + k, total)
-        found.effects += _of_stage(work, name, following)
-    found.effects += [
-        row for name, stage in other.items() for row in _of_other_formula(work, name, stage)
-    ]
+        progress("effects", k, total)
+        found.effects += _of_stage(work, name, found)
     if only is None:
-        progress("pipelines", len(samples) + len(effects), total)
-        found.pipelines = _pipelines(work, REFERENCE_S)
-        found.pipelines += _other_pipeline(work, other)
-    found.prepare_s = work.main.prepared.prepare_s
+        progress("pipelines", len(effects), total)
+        found.pipelines = _pipelines(work, found.effects)
+    found.prepare_s = work.sampled[0].prepared.prepare_s
     progress("pipelines", total, total)
     return found
 
 
-def _is_slow(stage: str, prices: Prices) -> bool:
-    """Whether the reference takes more than two seconds for a megapixel, or that is unknown."""
-    found = prices.predict(
-        f"{stage}/reference", {"frames": 1.0, "mpx": 1.0, "object_mpx": 0.2}
+def _opened(job: Job, samples: Sequence[int], flicker: bool) -> _Work:
+    """flicker : with the frame after the first sample, where the same stages run in it"""
+    steps = {p.index: [s.stage for s in p.steps] for p in job.plan.frames}
+    names, next_one = steps[samples[0]], samples[0] + 1
+    following = next_one if flicker and steps.get(next_one) == names else None
+    stages, quality = job.stages, job.inputs.config.pipeline.quality
+    frames = open_frames(job, [*samples, *([] if following is None else [following])])
+    whole = [replace(frames[i]) for i in samples]
+    return _Work(
+        job,
+        samples,
+        frames,
+        following,
+        {n: level_named(stages[n].levels, quality) for n in names},
+        {n: stages[n].levels[-1] for n in names},
+        Times(whole, _new_light_fractions(job, names)),
     )
-    return found is None or found.seconds > 2.0
 
 
 def _new_light_fractions(job: Job, names: Sequence[str]) -> dict[str, float]:
     """By stage: the fraction of its frames whose light was not met before."""
-    new = dict(
-        zip(
-            (f.index for f in job.facts),
-            new_terms(job.stages.values(), job.facts),
-            strict=True,
-        )
-    )
+    met = new_terms(job.stages.values(), job.facts)
+    new = {f.index: terms for f, terms in zip(job.facts, met, strict=True)}
     out = {}
     for name in names:
         terms = {term for term in job.stages[name].terms if term.startswith("new_")}
@@ -267,162 +197,88 @@ def _new_light_fractions(job: Job, names: Sequence[str]) -> dict[str, float]:
     return out
 
 
-def _levels(setup: Setup, levels: Mapping[str, str]) -> dict[str, str]:
-    """These levels, or the nearest that the stages have under their formula."""
-    return {
-        name: level_named(setup.prepared.stages[name].levels, level)
-        for name, level in levels.items()
-    }
-
-
-def _choose_windows(
-    work: _Work,
-    chains: Sequence[Mapping[str, str]],
-    following: int | None,
-    window_px: int | None,
-) -> None:
+def _choose_windows(work: _Work, sets: Sequence[Levels], window_px: int | None) -> None:
     """As `measure` says, and at most MOST_PX."""
-    camera: Rect = work.job.inputs.camera.rect
-    frames = work.main.frames
-    most = MOST_PX if window_px is None else window_px
-    area = float(min(max(b.plan.changed.area for b in frames.values()), most))
-    while True:
-        for i, b in frames.items():
-            of = frames[i - 1] if i == following else b
-            frames[i] = replace(b, window=window_of(of.plan, of.facts, camera, area))
-        if window_px is not None or area <= LEAST_PX:
-            break
-        if sum(_pictures_s(work, b, chains) for b in frames.values()) <= REFERENCE_S:
-            break
-        area = max(area * 0.8, LEAST_PX)
-    work.found.windows = {i: b.window for i, b in frames.items()}
+    frames = work.frames
+    area = float(MOST_PX if window_px is None else window_px)
+    if window_px is None:
+        slow = [c for frame in frames.values() for c in work.slow_chains(frame, sets)]
+        alone, per_px = np.sum([(0, 0), *map(work.times.alone_and_per_px, slow)], axis=0)
+        area = min(area, max((REFERENCE_S - alone) / max(per_px, 1e-9), LEAST_PX))
+    for i in frames:
+        shown = frames[i - 1] if i == work.following else frames[i]
+        window = window_of(shown.plan, shown.facts, work.job.inputs.camera.rect, area)
+        frames[i] = replace(frames[i], window=window)
 
 
-def _pictures_s(
-    work: _Work, b: FrameRenderer, levels: Sequence[Mapping[str, str]]
-) -> float:
-    """What those slow steps of the frame's pictures will take that were not made yet."""
-    chains = [chain_of(b.plan, of) for of in levels]
-    slow: set[Chain] = {
-        c[: k + 1]
-        for c in chains
-        for k, at in enumerate(c)
-        if at in b.slow and at in work.main.times.tiles
-    }
-    slow -= b.rendered.keys()
-    outs = {c: b.out(c) for c in slow}
-    box = b.facts.model_box
-    return sum(
-        work.main.times.tiles[c[-1]].over(areas_of(out, box)).seconds
-        for c, out in outs.items()
-        if not out.empty
-    )
-
-
-def _of_stage(work: _Work, name: str, following: int | None) -> list[Row]:
+def _of_stage(work: _Work, name: str, found: Measurements) -> list[Row]:
     """A row for each level, the reference's too, against the reference with all other
     stages at their usual level; the first tells what leaving out the effect would change,
     where a job can do without."""
-    stage = work.main.prepared.stages[name]
-    usual = work.usual
-    renderers = work.main.frames
-    found = work.found
-    best, formula = work.best[name], getattr(stage.params, "formula", "")
+    stage, usual, best = work.job.stages[name], work.usual, work.best[name]
+    formula = getattr(stage.params, "formula", "")
     rows = [
-        Row(
-            name,
-            level,
-            formula,
-            work.main.times.of((name, level)) or measured(0.0),
-            levels={**usual, name: level},
-        )
-        for level in stage.levels
+        Row(name, level, formula, levels={**usual, name: level}) for level in stage.levels
     ]
+    levels = list(rows)
+    without = {n: level for n, level in usual.items() if n != name}
     if name not in ALWAYS:
-        rows.insert(
-            0,
-            Row(
-                name,
-                LEFT_OUT,
-                formula,
-                levels={n: level for n, level in usual.items() if n != name},
-            ),
-        )
+        rows.insert(0, Row(name, LEFT_OUT, formula, levels=without))
     chosen = {**usual, name: best}
-    _compare(work, rows, chosen, (name,))
+    _compare(work, rows, chosen, name)
+    for row in levels:
+        row.time = work.step_time(name, row.levels)
     for i in rows[-1].by_frame:
-        worst = max(
-            (r for r in rows if r.level not in (best, LEFT_OUT)),
-            key=lambda r: r.by_frame[i].p99,
-            default=None,
-        )
+        worst = max(levels[:-1], key=lambda r: r.by_frame[i].p99, default=None)
         if worst is not None:
-            coverage = renderers[i].coverage(chain_of(renderers[i].plan, chosen))
-            found.locations.setdefault(
-                (name, worst.level), _location(worst.by_frame[i], coverage)
-            )
-    if following is not None:
-        _measure_flicker(
-            [r for r in rows if r.level != LEFT_OUT],
-            best,
-            renderers[following - 1],
-            renderers[following],
-        )
+            frame = work.frames[i]
+            coverage = frame.layer(work.chain(frame, chosen), Layer.COVERAGE)
+            location = _location(worst.by_frame[i], coverage)
+            found.locations.setdefault((name, worst.level), location)
+    _measure_flicker(work, levels)
     return rows
 
 
-def _compare(
-    work: _Work, rows: Sequence[Row], best: Mapping[str, str], of: Sequence[str] = ()
-) -> None:
+def _compare(work: _Work, rows: Sequence[Row], best: Levels, effect: str = "") -> None:
     """Note each row's pictures and how far they are from those at `best` levels, where the
-    stages `of` change anything.
+    effect changes anything.
 
-    of : at their usual level where they are left out; none = all, against the frame as it was
+    effect : left out of the others at their usual level; "" = against the frame as it was
     """
-    for sample in work.samples:
-        b = work.main.frames[sample.index]
-        if not {s.stage for s in b.plan.steps}.issuperset(of):
+    for i, frame in zip(work.samples, work.sampled, strict=True):
+        if effect and effect not in {s.stage for s in frame.plan.steps}:
             continue
-        reference = b.image(chain_of(b.plan, best))
-        without = (
-            work.image(sample.index, {n: at for n, at in work.usual.items() if n not in of})
-            if of
-            else b.original()
-        )
+        reference = work.image(frame, best)
+        left = {n: at for n, at in work.usual.items() if n != effect}
+        without = work.image(frame, left) if effect else frame.original()
         for r in rows:
-            at = (r.frames or work.setup(r.levels).frames)[sample.index]
-            r.pictures[sample.index] = at.image(chain_of(b.plan, r.levels))
-        where = touched(
-            (reference, without), *((reference, r.pictures[sample.index]) for r in rows)
-        )
+            r.pictures[i] = work.image(frame, r.levels)
+        where = touched((reference, without), *((reference, r.pictures[i]) for r in rows))
         for r in rows:
-            r.by_frame[sample.index] = difference(
-                reference, r.pictures[sample.index], where
-            )
+            r.by_frame[i] = difference(reference, r.pictures[i], where)
 
 
-def _measure_flicker(
-    rows: Sequence[Row], best: str, first: FrameRenderer, second: FrameRenderer
-) -> None:
+def _measure_flicker(work: _Work, rows: Sequence[Row]) -> None:
     """How much each level changes from one frame to the next beyond the footage's own
-    motion, beside its reference.
+    motion, beside its reference, the last.
     """
-    if first.plan.index not in rows[0].pictures:
+    first = work.samples[0]
+    if work.following is None or first not in rows[0].pictures:
         return
-    pairs = {
-        r.level: (
-            first.image(chain_of(first.plan, r.levels)),
-            second.image(chain_of(second.plan, r.levels)),
+    a, b = work.frames[first], work.frames[work.following]
+    where = touched((rows[-1].pictures[first], a.original()))
+    values = [
+        mean_flicker(
+            work.image(a, r.levels),
+            work.image(b, r.levels),
+            a.original(),
+            b.original(),
+            where,
         )
         for r in rows
-    }
-    where = touched((pairs[best][0], first.original()))
-    values = {
-        level: mean_flicker(a, b, first.original(), second.original(), where)
-        for level, (a, b) in pairs.items()
-    }
-    for r in rows:
-        r.flicker = (values[r.level], values[best])
+    ]
+    for r, value in zip(rows, values, strict=True):
+        r.flicker = (value, values[-1])
 
 
 def _location(d: Difference, coverage: np.ndarray) -> str:
@@ -434,71 +290,31 @@ def _location(d: Difference, coverage: np.ndarray) -> str:
     return "on the object" if coverage[y, x] > 0.5 else "beside the object"
 
 
-def _of_other_formula(work: _Work, name: str, changed: Stage) -> list[Row]:
-    """An effect under the other formula, at its usual level, against the job's own reference."""
-    setup = work.with_stages({name: changed})
-    usual = _levels(setup, work.usual)
-    row = Row(name, usual[name], changed.params.formula, levels=usual, frames=setup.frames)
-    _compare(work, [row], {**work.usual, name: work.best[name]}, (name,))
-    work.measure(setup, {(name, usual[name])}, usual)
-    row.time = setup.times.of((name, usual[name])) or measured(0.0)
-    work.other_s[name] = row.time
-    return [row] if row.by_frame else []
-
-
-def _pipelines(work: _Work, reference_s: float) -> list[Row]:
-    """Pipelines by quality, and those in between that give the least error for each second.
-
-    reference_s : what the references of those in between may take"""
-    qualities = [
-        {n: level_named(work.main.prepared.stages[n].levels, quality) for n in work.usual}
-        for quality in QUALITIES
-    ]
+def _pipelines(work: _Work, effects: Sequence[Row]) -> list[Row]:
+    """Pipelines by quality, and those in between that give the least error for each second
+    and whose references take no more than REFERENCE_S."""
+    stages, left_s = work.job.stages, REFERENCE_S
     named: dict[tuple[str, ...], Row] = {}
-    for quality, levels in zip(QUALITIES, qualities, strict=True):
+    for quality in QUALITIES:
+        levels = {n: level_named(stages[n].levels, quality) for n in work.usual}
         named.setdefault(
             tuple(levels.values()), Row("pipeline", quality, "", levels=levels)
         )
-    own = {
-        n: getattr(work.main.prepared.stages[n].params, "formula", "") for n in work.usual
-    }
     rows = list(named.values())
-    for sample, r in itertools.product(work.samples, rows):
-        work.image(sample.index, r.levels)
-    for levels in level_sets(
-        [r for r in work.found.effects if r.formula == own[r.name]], work.usual
-    ):
-        seconds = sum(
-            _pictures_s(work, work.setup(levels).frames[s.index], [levels])
-            for s in work.samples
-        )
-        if levels not in qualities and seconds <= reference_s:
-            reference_s -= seconds
-            rows.append(Row("pipeline", "mixed", "", levels=levels))
-            for sample in work.samples:
-                work.image(sample.index, levels)
     _compare(work, rows, work.best)
-    for r in rows:
+    mixed = []
+    for levels in level_sets(effects, work.usual):
+        seconds = 0.0
+        for frame in work.sampled:
+            for chain in work.slow_chains(frame, [levels]) - frame.rendered.keys():
+                alone, per_px = work.times.alone_and_per_px(chain)
+                seconds += alone + per_px * frame.window.area
+        if levels not in [r.levels for r in rows] and seconds <= left_s:
+            left_s -= seconds
+            mixed.append(Row("pipeline", "mixed", "", levels=levels))
+            for frame in work.sampled:
+                work.image(frame, levels)
+    _compare(work, rows + mixed, work.best)
+    for r in rows + mixed:
         r.time = work.time(r.levels)
-    return worth_showing(rows)
-
-
-def _other_pipeline(work: _Work, other: Mapping[str, Stage]) -> list[Row]:
-    """The whole pipeline with every stage under the other formula."""
-    if not other:
-        return []
-    there = work.with_stages(other)
-    row = Row(
-        "pipeline",
-        "usual",
-        next(s.params.formula for s in other.values()),
-        levels=_levels(there, work.usual),
-        frames=there.frames,
-    )
-    _compare(work, [row], work.best)
-    timed = [
-        work.other_s.get(name) or work.main.times.of((name, level))
-        for name, level in work.usual.items()
-    ]
-    row.time = sum_independent(p for p in timed if p is not None)
-    return [row]
+    return worth_showing(rows + mixed)

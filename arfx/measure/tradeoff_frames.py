@@ -13,6 +13,8 @@ from arfx.core.facts import FrameFacts
 from arfx.core.rect import Rect
 
 NAMES = ("share of the picture", "distance, m", "light", "motion, px")
+# what is unusual, by NAMES
+SIDES = (("small", "large"), ("near", "far"), ("dark", "bright"), ("slow", "fast"))
 
 
 @dataclass(frozen=True)
@@ -29,30 +31,25 @@ def describe(
 ) -> tuple[list[FrameFacts], np.ndarray]:
     """The frames that show the object, and (n, 4) what is known of each: NAMES."""
     shown = [f for f in facts if f.visible and f.camera_from_world is not None]
+    middles = {
+        f.index: np.mean([m.corners_px for m in f.markers], axis=(0, 1))
+        for f in facts
+        if f.markers
+    }
     rows = []
-    before: dict[int, np.ndarray] = {}
-    for f in facts:
-        if f.markers:
-            before[f.index] = np.mean([m.corners_px for m in f.markers], axis=(0, 1))
     for f in shown:
-        near, far = f.depth_range_m
-        light = (
-            1.0
+        motion = 0.0
+        if f.index in middles and f.index - 1 in middles:
+            motion = float(np.linalg.norm(middles[f.index] - middles[f.index - 1]))
+        lights = (
+            []
             if f.light is None
-            else float(
-                np.mean(f.light.ambient_rgb) + sum(np.mean(li.rgb) for li in f.light.lights)
-            )
+            else [f.light.ambient_rgb, *(li.rgb for li in f.light.lights)]
         )
-        here, last = before.get(f.index), before.get(f.index - 1)
-        motion = (
-            float(np.linalg.norm(here - last))
-            if here is not None and last is not None
-            else 0.0
-        )
+        light = float(sum(np.mean(rgb) for rgb in lights)) if lights else 1.0
+        share = f.model_box.clip(frame).area / frame.area
         blur = motion if f.blur_px is None else float(f.blur_px)
-        rows.append(
-            (f.model_box.clip(frame).area / frame.area, (near + far) / 2, light, blur)
-        )
+        rows.append((share, sum(f.depth_range_m) / 2, light, blur))
     return shown, np.array(rows, float).reshape(-1, len(NAMES))
 
 
@@ -69,22 +66,16 @@ def pick_frames(facts: Sequence[FrameFacts], frame: Rect, count: int) -> list[Sa
     logs[:, 3] = np.log1p(rows[:, 3])
     logs = (logs - np.median(logs, axis=0)) / np.maximum(logs.std(axis=0), 0.03)
     taken = [int(np.argmin((logs**2).sum(1)))]
-    away = ((logs - logs[taken[0]]) ** 2).sum(1)
     while len(taken) < min(count, len(shown)):
-        farthest = int(np.argmax(away))
-        if away[farthest] <= 0:
+        away = np.min([((logs - logs[k]) ** 2).sum(1) for k in taken], axis=0)
+        if away.max() <= 0:
             break
-        taken.append(farthest)
-        away = np.minimum(away, ((logs - logs[farthest]) ** 2).sum(1))
+        taken.append(int(np.argmax(away)))
     out = []
-    for k, at in enumerate(taken):
-        known = dict(zip(NAMES, rows[at].tolist(), strict=True))
-        sides = ("small", "large"), ("near", "far"), ("dark", "bright"), ("slow", "fast")
-        unusual = [
-            pair[int(off > 0)]
-            for pair, off in zip(sides, logs[at], strict=True)
-            if abs(off) > 1
-        ]
-        words = "typical" if k == 0 else ", ".join(unusual) or "another view"
-        out.append(Sample(shown[at].index, known, words))
+    for k in taken:
+        pairs = zip(SIDES, logs[k], strict=True)
+        unusual = [pair[int(off > 0)] for pair, off in pairs if abs(off) > 1]
+        words = "typical" if k == taken[0] else ", ".join(unusual) or "another view"
+        known = dict(zip(NAMES, rows[k].tolist(), strict=True))
+        out.append(Sample(shown[k].index, known, words))
     return sorted(out, key=lambda s: s.index)

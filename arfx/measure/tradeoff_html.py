@@ -15,7 +15,7 @@ import numpy as np
 from arfx.core.cost import Prediction
 from arfx.errors import RenderError
 from arfx.measure.difference import delta_e
-from arfx.measure.report_html import INK, PREDICTED, RAW, SMOOTH, drawing, png
+from arfx.measure.plots import INK, PREDICTED, RAW, SMOOTH, drawing, png
 from arfx.measure.tradeoff import Measurements
 from arfx.measure.tradeoff_pipelines import LEFT_OUT, QUALITIES, Row, front
 from arfx.run.folder import write
@@ -102,33 +102,14 @@ FLOOR = 0.02  # grey levels: what is drawn for none
 
 
 def effect_plot(rows: Sequence[Row]) -> bytes:
-    """Mean and 99th percentile of each level of one effect; the other formula's point is a
-    diamond.
-    """
+    """Mean and 99th percentile of each level of one effect."""
     fig = drawing(6.4, 3.4)
     axis = fig.subplots()
-    rows = [r for r in rows if r.level != LEFT_OUT]
-    own = [r for r in rows if r.formula == rows[0].formula]
-    other = [r for r in rows if r.formula != rows[0].formula]
-    for worst, colour, label in (
-        (True, RAW, "99th percentile, worst frame"),
-        (False, SMOOTH, "mean"),
-    ):
-        axis.plot(*_points(own, worst), "o-", color=colour, ms=5, lw=1, label=label)
-        for r in other:
-            axis.plot(
-                *_points([r], worst),
-                "D",
-                color=colour,
-                ms=6,
-                mfc="none",
-                label=f"{label}, {r.formula}",
-            )
-    _named(
-        axis,
-        [(r, r.level if r in own else f"{r.formula} {r.level}") for r in rows],
-        (4, -11),
-    )
+    levels = [r for r in rows if r.level != LEFT_OUT]
+    worst = _points(levels, worst=True)
+    axis.plot(*worst, "o-", color=RAW, ms=5, lw=1, label="99th percentile, worst frame")
+    axis.plot(*_points(levels), "o-", color=SMOOTH, ms=5, lw=1, label="mean")
+    _named(axis, levels, (4, -11))
     return _finished(fig, f"{rows[0].name}: error against its own reference")
 
 
@@ -136,22 +117,13 @@ def pipeline_plot(rows: Sequence[Row]) -> bytes:
     """Whole pipelines, the front of those that no other beats joined by a line."""
     fig = drawing(7.6, 4.2)
     axis = fig.subplots()
-    axis.plot(
-        *_points(front([r for r in rows if not r.formula])),
-        "-",
-        color=SMOOTH,
-        lw=1.2,
-        label="Pareto front",
-    )
-    for r in rows:
-        named = r.level != "mixed"
-        marker, colour = ("D", RAW) if r.formula else ("o", SMOOTH if named else PREDICTED)
-        axis.plot(*_points([r]), marker, color=colour, ms=6 if named else 4)
-    _named(
-        axis,
-        [(r, f"{r.formula} {r.level}".strip()) for r in rows if r.level != "mixed"],
-        (5, 5),
-    )
+    best = _points(front(rows))
+    axis.plot(*best, "-", color=SMOOTH, lw=1.2, label="Pareto front")
+    named = [r for r in rows if r.level != "mixed"]
+    mixed = [r for r in rows if r.level == "mixed"]
+    axis.plot(*_points(named), "o", color=SMOOTH, ms=6)
+    axis.plot(*_points(mixed), "o", color=PREDICTED, ms=4)
+    _named(axis, named, (5, 5))
     return _finished(fig, "Whole pipelines against everything at reference")
 
 
@@ -162,12 +134,9 @@ def _points(rows: Sequence[Row], worst: bool = False) -> tuple[list[float], list
     ]
 
 
-def _named(axis: Any, rows: Sequence[tuple[Row, str]], aside: tuple[int, int]) -> None:
-    for r, text in rows:
-        (x,), (y,) = _points([r])
-        axis.annotate(
-            text, (x, y), aside, textcoords="offset points", fontsize=8, color=INK
-        )
+def _named(axis: Any, rows: Sequence[Row], aside: tuple[int, int]) -> None:
+    for r, *at in zip(rows, *_points(rows), strict=True):
+        axis.annotate(r.level, at, aside, textcoords="offset points", fontsize=8, color=INK)
 
 
 def _finished(fig: Any, title: str) -> bytes:
@@ -187,14 +156,11 @@ SEEN_MEAN, SEEN_P99 = 1.0, 12.0  # grey levels: more than either is taken for vi
 
 def document(found: Measurements, job: Job, seconds: float) -> dict[str, Any]:
     """seconds : what the measuring took. `errors` is what `--tradeoff` reads (plan/errors.py)."""
-    stages: dict[str, dict[str, float]] = {}
-    own = {n: getattr(s, "formula", "") for n, s in job.inputs.config.params.items()}
+    errors: dict[str, dict[str, float]] = {}
     for r in found.effects:
-        if r.formula == own.get(r.name, "") and r.level != LEFT_OUT:
-            stages.setdefault(r.name, {})[r.level] = (
-                max(d.mean for d in r.by_frame.values()) if r.by_frame else 0.0
-            )
-    names, times = [r.name for r in found.effects], {f.index: f.time_s for f in job.facts}
+        if r.level != LEFT_OUT:
+            errors.setdefault(r.name, {})[r.level] = r.worst("mean")
+    times = {f.index: f.time_s for f in job.facts}
     frames = [
         {"frame": s.index, "time_s": times[s.index], "stands_for": s.words, **s.facts}
         for s in found.samples
@@ -203,19 +169,16 @@ def document(found: Measurements, job: Job, seconds: float) -> dict[str, Any]:
         "clip": str(job.inputs.info.path),
         "frames": frames,
         "windows": {str(i): w.to_json() for i, w in found.windows.items()},
-        "effects": [
-            _row(r, found) for r in sorted(found.effects, key=lambda r: names.index(r.name))
-        ],
+        "effects": [_row(r, found) for r in found.effects],
         "pipelines": [_row(r, found) for r in found.pipelines],
         "recommendation": recommendation(found),
         "seconds": seconds,
         "source": f"measured on {len(found.samples)} frames of {job.inputs.info.path.name}",
-        "errors": stages,
+        "errors": errors,
     }
 
 
 def _row(r: Row, found: Measurements) -> dict[str, Any]:
-    pipelines = [p for p in found.pipelines if not p.formula]
     return {
         "name": r.name,
         "level": r.level,
@@ -225,7 +188,7 @@ def _row(r: Row, found: Measurements) -> dict[str, Any]:
             if r.name == "pipeline"
             else None
         ),
-        "beaten": r in pipelines and r not in front(pipelines),
+        "beaten": r in found.pipelines and r not in front(found.pipelines),
         "seconds_per_frame": r.seconds,
         "between_s": [r.time.low_s, r.time.high_s],
         "prepare_s": found.prepare_s.get((r.name, r.level)),
@@ -251,82 +214,31 @@ def visible(r: Row) -> bool:
 
 def recommendation(found: Measurements) -> str:
     """One sentence: the cheapest quality whose difference from the reference does not show,
-    and what would.
+    and what would; where all show, the nearest, and whose difference it is. Said too where
+    so little of the picture was compared that other parts of it may differ otherwise.
     """
-    by_quality = {
-        r.level: r for r in found.pipelines if r.level in QUALITIES and not r.formula
-    }
-    reference = by_quality.get("reference")
-    if reference is None:
-        return "every effect has one level only: there is nothing to choose"
-    others = sorted(
-        (r for q, r in by_quality.items() if q != "reference"), key=lambda r: r.seconds
-    )
-    if not others:
-        return "the job has one quality only"
+    by_quality = {r.level: r for r in found.pipelines if r.level in QUALITIES}
+    reference = by_quality.pop("reference", None)
+    others = sorted(by_quality.values(), key=lambda r: r.seconds)
     good = next((r for r in others if not visible(r)), None)
-    chosen = good or min(others, key=lambda r: r.average("mean"))
-    if good is None:
-        return _none(found, chosen, reference) + _window(found)
-    words = (
-        f"{chosen.level} is within {chosen.average('mean'):.1f} grey levels of reference on"
-        f" average (99 % of the pixels within {chosen.worst('p99'):.0f}) at"
-        f" {_share(chosen.time, reference.time)} of its time"
-    )
-    lower = QUALITIES[: QUALITIES.index(chosen.level)]
-    left = (r for r in found.effects if r.level in lower and not _is_other(r, found))
-    shows = [r for r in left if visible(r)]
-    if shows:
-        worst = max(shows, key=lambda r: r.worst("p99"))
-        place = found.locations.get((worst.name, worst.level), "")
-        words += (
-            f"; {worst.name} {worst.level} would show {place}".rstrip()
-            + f" (frame {worst.worst_frame()})"
-        )
-    return words + _window(found)
-
-
-def _none(found: Measurements, nearest: Row, reference: Row) -> str:
-    """Where every quality below reference shows: the nearest of them, and whose difference
-    it is.
-    """
-    own = [
-        r
-        for r in found.effects
-        if nearest.levels.get(r.name) == r.level and not _is_other(r, found)
-    ]
-    most = max(own, key=lambda r: r.average("mean"), default=None)
-    words = (
-        "no quality below reference is without a difference that shows: the nearest,"
-        f" {nearest.level}, is {nearest.average('mean'):.1f} grey levels off on average at"
-        f" {_share(nearest.time, reference.time)} of its time, and would show in frame"
-        f" {nearest.worst_frame()}"
-    )
-    if most is not None and most.average("mean") > SEEN_MEAN:
-        words += (
-            f"; most of it is {most.name}'s ({most.average('mean'):.1f} grey levels by"
-            " itself)"
-        )
-    return words
-
-
-def _window(found: Measurements) -> str:
-    """Said where so little of the picture was compared that other parts of it may differ
-    otherwise.
-    """
-    least = min(found.windows.values(), key=lambda w: w.area, default=None)
-    if least is None or least.area >= FEW_PX:
-        return ""
-    return (
-        f"; compared on {least.width} × {least.height} px of a frame alone, as the"
-        " references take so long"
-    )
-
-
-def _is_other(r: Row, found: Measurements) -> bool:
-    """Is it the row of a formula that the job does not use?"""
-    first = next(x for x in found.effects if x.name == r.name)
-    return r.formula != first.formula
+    chosen = good or min(others, key=lambda r: r.average("mean"), default=None)
+    lower = QUALITIES[: QUALITIES.index(chosen.level)] if chosen else ()
+    worse = [r for r in found.effects if r.level in lower and visible(r)]
+    shows = max(worse, key=lambda r: r.worst("p99"), default=None)
+    own = [r for r in found.effects if chosen and chosen.levels.get(r.name) == r.level]
+    return render(
+        "measure/tradeoff_advice.jinja",
+        reference=reference,
+        chosen=chosen,
+        good=good,
+        share=_share(chosen.time, reference.time) if chosen and reference else "",
+        shows=shows,
+        place=found.locations.get((shows.name, shows.level), "") if shows else "",
+        most=max(own, key=lambda r: r.average("mean"), default=None),
+        window=min(found.windows.values(), key=lambda w: w.area, default=None),
+        seen=SEEN_MEAN,
+        few=FEW_PX,
+    ).strip()
 
 
 def _share(part: Prediction, whole: Prediction) -> str:

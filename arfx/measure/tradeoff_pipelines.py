@@ -11,7 +11,6 @@ import numpy as np
 
 from arfx.core.cost import Prediction, measured
 from arfx.measure.difference import Difference
-from arfx.measure.steps import FrameRenderer
 from arfx.plan.levels import Option, way_down
 
 QUALITIES = ("draft", "standard", "high", "reference")
@@ -25,8 +24,7 @@ class Row:
     was found in each
 
     formula : which the stage ran under;  flicker : of this and of the reference, grey
-    levels from a frame to the next
-    frames : what renders them, none = the job's"""
+    levels from a frame to the next"""
 
     name: str
     level: str
@@ -36,7 +34,6 @@ class Row:
     flicker: tuple[float, float] | None = None
     pictures: dict[int, np.ndarray] = field(default_factory=dict)
     levels: Mapping[str, str] = field(default_factory=dict)
-    frames: Mapping[int, FrameRenderer] = field(default_factory=dict)
 
     @property
     def seconds(self) -> float:

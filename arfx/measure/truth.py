@@ -101,12 +101,13 @@ def _lag(error: np.ndarray, projected: np.ndarray, shots: np.ndarray) -> float |
         & np.isfinite(middle).all((1, 2))
     )
     v, e = velocity[ok], middle[ok]
-    e = e - e.mean(0) if len(e) else e  # a standing offset is no lag
-    v0 = v - v.mean(0) if len(v) else v
-    power = float((v0**2).sum())
-    if not len(v) or np.sqrt(power / v0[..., 0].size) < _MOVING_PX:
+    if not len(v):
         return None
-    return float(-(e * v0).sum() / power)
+    v = v - v.mean(0)  # a standing offset of the error is no lag
+    power = float((v**2).sum())
+    if np.sqrt(power / v[..., 0].size) < _MOVING_PX:
+        return None
+    return float(-(e * v).sum() / power)
 
 
 def presence(
@@ -117,14 +118,8 @@ def presence(
     missed : some marker is in full view, the analysis says absent;  invented : measured
     where none can be seen
     bridged : interpolated frames;  unclear : markers cut or covered in part, not judged"""
-    counts = {
-        "seen": 0,
-        "missed": 0,
-        "hidden": 0,
-        "invented": 0,
-        "bridged": 0,
-        "unclear": 0,
-    }
+    kinds = ("seen", "missed", "hidden", "invented", "bridged", "unclear")
+    counts = dict.fromkeys(kinds, 0)
     for fact, frame in zip(facts, truth.frames, strict=True):
         best = max((frame.markers[k].visible for k in keys), default=0.0)
         counts["bridged"] += fact.status == INTERPOLATED
@@ -163,20 +158,17 @@ def map_errors(
         return None
     mapped = world_from_marker[world].inverse()
     room = truth.frames[0].room_from_marker
-    out = {}
+    out: dict[str, dict[str, float]] = {}
     for k in others:
         estimate, exact = mapped @ world_from_marker[k], room[world].inverse() @ room[k]
-        out[k] = {
-            "position_mm": (
-                1e3 * float(np.linalg.norm(estimate.translation_m - exact.translation_m))
-            ),
-            "rotation_deg": float(np.degrees(rotation_angle_rad(estimate, exact))),
-        }
-    worst = (
-        max(v["position_mm"] for v in out.values()),
-        max(v["rotation_deg"] for v in out.values()),
-    )
-    return {"markers": out, "position_mm_max": worst[0], "rotation_deg_max": worst[1]}
+        off = float(np.linalg.norm(estimate.translation_m - exact.translation_m))
+        turned = float(np.degrees(rotation_angle_rad(estimate, exact)))
+        out[k] = {"position_mm": 1e3 * off, "rotation_deg": turned}
+    worst = {
+        f"{figure}_max": max(errors[figure] for errors in out.values())
+        for figure in ("position_mm", "rotation_deg")
+    }
+    return {"markers": out, **worst}
 
 
 def compare(
@@ -193,12 +185,8 @@ def compare(
     world_from = world_from_marker[world]
 
     def errors(poses: Iterable[Pose | None]) -> dict[str, Any]:
-        return pose_errors(
-            [None if pose is None else pose @ world_from for pose in poses],
-            truth,
-            world,
-            size,
-        )
+        seen = [None if pose is None else pose @ world_from for pose in poses]
+        return pose_errors(seen, truth, world, size)
 
     out: dict[str, Any] = {
         "frames": len(truth.frames),
@@ -246,13 +234,9 @@ def exceeded(
                     broken.append(f"{dotted} is {value!r}, it should be {limit!r}")
             elif value is None:
                 broken.append(f"{dotted}: there is no such figure, its bound is {limit:g}")
-            elif (kind == "max" and not value <= limit) or (
-                kind == "min" and not value >= limit
-            ):
-                broken.append(
-                    f"{dotted} is {value:.4g}, {'at most' if kind == 'max' else 'at least'}"
-                    f" {limit:g} is allowed"
-                )
+            elif not (value <= limit if kind == "max" else value >= limit):
+                bound = "at most" if kind == "max" else "at least"
+                broken.append(f"{dotted} is {value:.4g}, {bound} {limit:g} is allowed")
     return broken
 
 
@@ -282,12 +266,8 @@ def light_errors(
         if fact.light is None:
             continue
         frames += 1
-        bias.append(
-            255
-            * np.abs(
-                SRGB.encode(np.array(fact.bias_rgb)) - SRGB.encode(np.array(frame.bias))
-            ).max()
-        )
+        coded_bias = (SRGB.encode(np.array(rgb)) for rgb in (fact.bias_rgb, frame.bias))
+        bias.append(255 * np.abs(np.subtract(*coded_bias)).max())
         irradiance += _irradiance(fact, frame, world_from_marker)
         if fact.light.source != MEASURED or not fact.light.lights:
             continue
@@ -295,12 +275,8 @@ def light_errors(
         turn = world_from_marker[key].rotation
         claimed = max(fact.light.lights, key=lambda li: sum(li.rgb))
         lamps = frame.lights
-        off = [
-            float(
-                np.degrees(angle_between(claimed.unit, turn @ np.array(li["marker"][key])))
-            )
-            for li in lamps
-        ]
+        towards = [turn @ np.array(lamp["marker"][key]) for lamp in lamps]
+        off = [float(np.degrees(angle_between(claimed.unit, d))) for d in towards]
         if not off:
             false += 1
             continue
@@ -334,12 +310,9 @@ def _irradiance(
             continue
         exact = np.array(frame.ambient_rgb, float)
         for lamp in frame.lights:
-            exact = exact + max(float(np.array(lamp["marker"][key])[2]), 0.0) * np.array(
-                lamp["rgb"]
-            )
+            cosine = max(float(lamp["marker"][key][2]), 0.0)
+            exact = exact + cosine * np.array(lamp["rgb"])
         claimed_rgb = fact.light.radiance(world_from_marker[key].rotation[:, 2])
-        out += divide(
-            np.abs(claimed_rgb - frame.gain * exact),
-            max(float(frame.gain * exact.max()), 1e-6),
-        ).tolist()
+        off = np.abs(claimed_rgb - frame.gain * exact)
+        out += divide(off, max(float(frame.gain * exact.max()), 1e-6)).tolist()
     return out

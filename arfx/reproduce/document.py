@@ -3,18 +3,33 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from arfx.core.machine import usable_cores
+from arfx.measure.difference import difference, level_difference
+from arfx.measure.plots import png
+from arfx.measure.tradeoff_html import TIMES, error_map
 from arfx.reproduce import PAPERS
-from arfx.reproduce.page import page
-from arfx.reproduce.rows import Figure, Item, Plot, Row
+from arfx.reproduce.rows import (
+    COLOURS,
+    CORRECTED,
+    PRINTED,
+    REFERENCE,
+    VERDICTS,
+    Figure,
+    Item,
+    Row,
+    Value,
+)
 from arfx.reproduce.work import Work
 from arfx.run.folder import write
+from arfx.run.pages import render
 
 
 def page_name(paper: str) -> str:
@@ -31,7 +46,19 @@ def reproduce(papers: Sequence[str], folder: Path, work: Work) -> dict[str, Any]
         work.progress("papers", k, len(papers))
         items = items_of(paper, work)
         folder.mkdir(parents=True, exist_ok=True)
-        write(folder / page_name(paper), page(PAPERS[paper], items, machine(), work.short))
+        html = render(
+            "reproduce/paper.html",
+            paper=PAPERS[paper],
+            items=items,
+            machine=machine(),
+            short=work.short,
+            verdicts=VERDICTS,
+            colours=COLOURS,
+            text=text,
+            captioned=captioned,
+            png=png,
+        )
+        write(folder / page_name(paper), html)
         rows += [{"paper": paper, **asdict(i)} for i in items if isinstance(i, Row)]
     work.progress("papers", len(papers), len(papers))
     return {"rows": rows}
@@ -46,9 +73,7 @@ def items_of(paper: str, work: Work) -> list[Item]:
     names = [i.item for i in found if isinstance(i, Row)]
     if twice := {n for n in names if names.count(n) > 1}:
         raise ValueError(f"{paper}: two rows for {min(twice)!r}")
-    if lone := [
-        i.item for i in found if isinstance(i, (Figure, Plot)) and i.item not in names
-    ]:
+    if lone := [i.item for i in found if i.item not in names]:
         raise ValueError(f"{paper}: there is a picture of {lone[0]!r}, but no row")
     return found
 
@@ -65,3 +90,52 @@ def machine() -> str:
         " Memory is the most that a process of its own held, Python and libraries"
         " included."
     )
+
+
+def text(value: Value) -> str:
+    """A value for reading: numbers with six figures at most."""
+    if value is None:
+        return "–"
+    return (
+        value
+        if isinstance(value, str)
+        else f"{value:,.6g}"
+        if abs(value) < 1e6
+        else f"{value:.4g}"
+    )
+
+
+def captioned(shown: Figure) -> Iterator[tuple[np.ndarray, str]]:
+    """Every picture with its caption, followed by its error map where it is compared with
+    another.
+    """
+    compared = (
+        {PRINTED: REFERENCE, CORRECTED: REFERENCE}
+        if REFERENCE in shown.pictures
+        else {CORRECTED: PRINTED}
+    )
+    pictures = {name: eight_bit(picture) for name, picture in shown.pictures.items()}
+    for name, picture in pictures.items():
+        against = compared.get(name)
+        if against is None or against not in pictures:
+            yield picture, name
+            continue
+        other = pictures[against]
+        apart = difference(other, picture, np.ones(picture.shape[:2], bool))
+        most = float(np.max(level_difference(other, picture)))
+        yield (
+            picture,
+            (
+                f"{name}: {apart.mean:.2f} grey levels from {against} on average,"
+                f" {most:.0f} at most"
+            ),
+        )
+        yield error_map(other, picture), f"{name} less {against}, × {TIMES} about grey"
+
+
+def eight_bit(coded: np.ndarray) -> np.ndarray:
+    """(h, w, 3) uint8 of coded values 0..1, of one channel or three; of uint8 as they are."""
+    if coded.dtype == np.uint8:
+        return coded
+    out = np.round(255 * np.clip(coded, 0, 1)).astype(np.uint8)
+    return out if out.ndim == 3 else np.dstack([out] * 3)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from typing import Any
 
 import numpy as np
 
-from arfx.measure.report_html import INK, drawing
+from arfx.measure.plots import drawing
 
 HOLDS, DIFFERS, UNDERIVED = "holds", "differs, explained", "cannot be derived"
 VERDICTS = (HOLDS, DIFFERS, UNDERIVED)
@@ -58,97 +59,48 @@ class Row:
 
 def half_digit(printed: str) -> float:
     """Half a unit of the last digit of a number as it is printed: "58.7" -> 0.05"""
-    mantissa, _, exponent = printed.strip().lower().partition("e")
-    return 0.5 * 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
+    return 0.5 * 10.0 ** int(Decimal(printed).as_tuple().exponent)
 
 
-def compared(
+def row(
     item: str,
-    printed: str,
-    paper_formula: float | str | None,
-    corrected: float | str | None = None,
+    printed: Value,
+    values: Value | Sequence[Value],
     unit: str = "",
     reason: str = "",
+    holds: bool | None = None,
     tolerance: float | None = None,
 ) -> Row:
     """A row whose verdict follows from its values.
 
-    printed : as it stands there, "58.7": values agree with it that round to its digits, and
-    words that are the same
+    values : by the printed and by the corrected method, or by the printed one alone; where
+    that is None, UNDERIVED
+    reason : why, for all but HOLDS; else it is left out
+    holds : whether what is printed was found; None = where the values agree with it: words
+    that are the same, or, for a number as it stands there, "58.7", what rounds to its digits
     tolerance : in place of half its last digit
-    reason : needed where a value does not agree, and where there is none by the printed
-    method; else it is left out
     """
+    pair = values if isinstance(values, (tuple, list)) else (values, None)
+    of_paper, corrected = (
+        v.item() if isinstance(v, (np.generic, np.ndarray)) else v for v in pair
+    )
+    if holds is None and isinstance(printed, str):
+        text, number = printed, as_number(printed)
+        known = [value for value in (of_paper, corrected) if value is not None]
+        holds = all(_agrees(value, text, tolerance) for value in known)
+        printed = text if number is None else number
+    verdict = UNDERIVED if of_paper is None else HOLDS if holds else DIFFERS
+    if verdict == HOLDS:
+        reason = ""
+    return Row(item, printed, of_paper, corrected, reason, unit, verdict)
+
+
+def _agrees(value: float | str, printed: str, tolerance: float | None) -> bool:
     number = as_number(printed)
-
-    def agrees(value: float | str) -> bool:
-        if number is None or isinstance(value, str):
-            return value == printed
-        return abs(value - number) <= (
-            half_digit(printed) if tolerance is None else tolerance
-        ) * (1 + 1e-9)
-
-    if paper_formula is None:
-        verdict = UNDERIVED
-    else:
-        verdict = (
-            HOLDS
-            if all(agrees(v) for v in (paper_formula, corrected) if v is not None)
-            else DIFFERS
-        )
-    shown = printed if number is None else number
-    return Row(
-        item,
-        shown,
-        paper_formula,
-        corrected,
-        "" if verdict == HOLDS else reason,
-        unit,
-        verdict,
-    )
-
-
-def shown(
-    item: str,
-    printed: Value,
-    paper_formula: float | str,
-    corrected: float | str | None,
-    holds: bool,
-    reason: str = "",
-    unit: str = "",
-) -> Row:
-    """A row of an equation or figure, whose values are measures or words that were checked.
-    holds : whether what is printed was found, by both methods;  reason : why not"""
-    verdict = HOLDS if holds else DIFFERS
-    return Row(
-        item,
-        printed,
-        paper_formula,
-        corrected,
-        "" if holds else reason,
-        unit,
-        verdict,
-    )
-
-
-def said(
-    item: str,
-    printed: Value,
-    values: Value | Sequence[Value],
-    holds: bool,
-    reason: str = "",
-    unit: str = "",
-) -> Row:
-    """values : by the printed and by the corrected method, or by the printed one alone;
-    otherwise as `shown`"""
-    of_paper, corrected = values if isinstance(values, (tuple, list)) else (values, None)
-    return shown(item, printed, of_paper, corrected, holds, reason, unit)
-
-
-def both(values: Iterable[float]) -> tuple[float, float]:
-    """The printed method's value and the corrected one's."""
-    printed, corrected = values
-    return printed, corrected
+    if number is None or isinstance(value, str):
+        return value == printed
+    within = half_digit(printed) if tolerance is None else tolerance
+    return abs(value - number) <= within * (1 + 1e-9)
 
 
 def as_number(text: str) -> float | None:
@@ -164,8 +116,8 @@ class Figure:
     """Pictures of a figure of a paper, side by side.
 
     item : of the row that speaks of it;  title : what is seen
-    pictures : by name, in order, (h, w, 3) uint8 sRGB. BEFORE, PRINTED, CORRECTED and
-    REFERENCE where there are such; any other
+    pictures : by name, in order, (h, w, 3) uint8 sRGB, or coded values 0..1, also (h, w).
+    BEFORE, PRINTED, CORRECTED and REFERENCE where there are such; any other
     name is its caption. PRINTED and CORRECTED get maps of their difference from REFERENCE,
     without one CORRECTED gets that from PRINTED; those three are of one size"""
 
@@ -186,51 +138,19 @@ class Plot:
     figure: Any
 
 
-def bars(
-    item: str,
-    title: str,
-    unit: str,
-    labels: Sequence[str],
-    series: Mapping[str, Sequence[float | tuple[float, float] | None]],
-) -> Plot:
+@dataclass(frozen=True, eq=False)
+class Bars:
     """A plot of a table: a group of bars for each label, a colour for each series (printed,
     printed method, corrected …).
 
-    A pair is drawn from its first to its second value, None is left out."""
-    figure = drawing(7.6, 0.8 + 0.22 * len(labels) * (len(series) + 1))
-    axis = figure.subplots()
-    height = 0.8 / len(series)
-    for k, (name, values) in enumerate(series.items()):
-        ends = [
-            (0.0, v) if isinstance(v, (int, float)) else v or (0.0, 0.0) for v in values
-        ]
-        y = np.arange(len(labels)) + (k - (len(series) - 1) / 2) * height
-        axis.barh(
-            y,
-            [b - a for a, b in ends],
-            0.9 * height,
-            [a for a, _ in ends],
-            label=name,
-            color=COLOURS[k % len(COLOURS)],
-        )
-        for at, (a, b), value in zip(y, ends, values, strict=True):
-            if value is not None:
-                text = f"{b:.3g}" if isinstance(value, (int, float)) else f"{a:.3g}–{b:.3g}"
-                axis.annotate(
-                    text,
-                    (b, at),
-                    (3, 0),
-                    textcoords="offset points",
-                    va="center",
-                    fontsize=7,
-                    color=INK,
-                )
-    axis.set_yticks(np.arange(len(labels)), labels)
-    axis.invert_yaxis()
-    axis.set_xlabel(unit)
-    axis.margins(x=0.12)
-    axis.legend()
-    return Plot(item, title, figure)
+    item : of a row that speaks of it
+    series : a pair is drawn from its first to its second value, None is left out"""
+
+    item: str
+    title: str
+    unit: str
+    labels: Sequence[str]
+    series: Mapping[str, Sequence[float | tuple[float, float] | None]]
 
 
 def curves(
@@ -259,4 +179,4 @@ COLOURS = (
     "#2da44e",
 )  # printed, printed method, corrected, reference
 
-Item = Row | Figure | Plot
+Item = Row | Figure | Plot | Bars

@@ -27,13 +27,11 @@ from arfx.reproduce.rows import (
     DIFFERS,
     HOLDS,
     REFERENCE,
+    Bars,
     Figure,
     Item,
     Row,
-    bars,
-    both,
-    compared,
-    shown,
+    row,
 )
 from arfx.reproduce.rows import CORRECTED as CORRECTED_PICTURE
 from arfx.reproduce.rows import PRINTED as PRINTED_PICTURE
@@ -119,7 +117,7 @@ def model_file(work: Work, name: str) -> Settings:
 
 
 def facts_light(shot: Shot) -> Light:
-    light = shot.renderer.facts.light
+    light = shot.facts.light
     assert light is not None  # every frame with a pose has one
     return light
 
@@ -131,7 +129,7 @@ def equation_3(situation: Situation) -> Iterator[Item]:
         shot = situation.shot(
             formula, {"lightmap": {**NO_SHADOW["lightmap"], "plane_blocks": False}}
         )
-        facts, on = shot.renderer.facts, shot.layer(Layer.COVERAGE) > 0.999
+        facts, on = shot.facts, shot.layer(Layer.COVERAGE) > 0.999
         n, rho, virtual = (
             shot.layer(name)[on] for name in (Layer.NORMAL, Layer.ALBEDO, Layer.VIRTUAL)
         )
@@ -143,43 +141,41 @@ def equation_3(situation: Situation) -> Iterator[Item]:
         )
         expected = rho * M + np.array(facts.bias_rgb)
         off.append(100 * float(np.median(np.abs(virtual - expected)) / np.median(expected)))
-    item = "equation (3), difference of the object's pixels, highlights included, median"
-    yield shown(
-        item,
+    yield row(
+        "equation (3), difference of the object's pixels, highlights included, median",
         "I = g ρ M(n) + b",
-        *both(off),
-        max(off) < 5,
-        "highlights, and reflections of the room",
+        off,
         "%",
+        "highlights, and reflections of the room",
+        max(off) < 5,
     )
 
 
 def figure_1(situation: Situation) -> Iterator[Item]:
     item, level = "figure 1, triangles of the hemisphere", PrintedLightParams().map_level
-    yield shown(item, "a hemisphere of triangles", len(hemisphere(level)), None, True)
+    yield row(item, "a hemisphere of triangles", len(hemisphere(level)), "", "", True)
     shots = {
         PRINTED_PICTURE: situation.shot(PAPER, {}),
         CORRECTED_PICTURE: situation.shot(CORRECTED, {}),
     }
-    lights = both(len(facts_light(s).lights) for s in shots.values())
-    yield compared(
+    yield row(
         "figure 1, lights of a scene with one lamp",
         "1",
-        *lights,
+        tuple(len(facts_light(s).lights) for s in shots.values()),
         "",
         s1_equations.PEAKS,
     )
-    off = both(situation.off_deg(s) for s in shots.values())
-    yield shown(
+    off = tuple(situation.off_deg(s) for s in shots.values())
+    yield row(
         "section 4, direction of the lamp: degrees off",
         "accurate",
-        *off,
-        max(off) < NEAR_DEG,
-        s1_equations.PEAKS,
+        off,
         "degrees",
+        s1_equations.PEAKS,
+        max(off) < NEAR_DEG,
     )
     printed = shots[PRINTED_PICTURE]
-    found = printed_map(printed.renderer.facts.light_map)
+    found = printed_map(printed.facts.light_map)
     assert found is not None
     cube, map_from_world = found
     middles = hemisphere(level)  # the map's axes
@@ -260,7 +256,7 @@ def errors(pictures: Mapping[str, np.ndarray]) -> tuple[float, float]:
 
 def pictures_row(item: str, printed: str, pictures: Mapping[str, np.ndarray]) -> Row:
     off = errors(pictures)
-    return shown(item, printed, *off, max(off) < 3, LUMPS, "grey levels from the reference")
+    return row(item, printed, off, "grey levels from the reference", LUMPS, max(off) < 3)
 
 
 def figure_2(situation: Situation) -> Iterator[Item]:
@@ -294,42 +290,45 @@ def table_1(work: Work) -> Iterator[Item]:
     memory: dict[str, list[Any]] = {name: [] for name in rates}
     for name, (faces, (low, high), size_mb) in TABLE_1.items():
         count = load_model(work.model(name)).face_count
-        yield compared(f"table 1, {name}, faces", str(faces), count, count)
+        yield row(f"table 1, {name}, faces", str(faces), (count, count))
         timed = [
             work.timed(clip, formula, model_file(work, name))
             for formula in (PAPER, CORRECTED)
         ]
-        fps, mb = both(t.frames_per_s for t in timed), both(t.peak_mb for t in timed)
+        fps, mb = tuple(t.frames_per_s for t in timed), tuple(t.peak_mb for t in timed)
         verdict = HOLDS if all(low <= rate <= high for rate in fps) else DIFFERS
-        why = (
-            f"this machine and pictures of {size_px[0]} x {size_px[1]}; the paper names"
-            " neither its machine nor its pictures' size. Decoding, analysing, rendering"
-            " and encoding are counted"
-        )
-        yield Row(
+        yield row(
             f"table 1, {name}, frame rate",
             f"{low}–{high}",
-            fps[0],
-            fps[1],
-            why,
+            fps,
             "frames/s",
-            verdict,
+            f"this machine and pictures of {size_px[0]} x {size_px[1]}; the paper names"
+            " neither its machine nor its pictures' size. Decoding, analysing, rendering"
+            " and encoding are counted",
+            verdict == HOLDS,
         )
-        why = (
+        yield row(
+            f"table 1, {name}, memory",
+            str(size_mb),
+            (mb[0], mb[1]),
+            "MB",
             f"{timed[0].start_mb:.0f} MB are Python and its libraries before the job;"
-            " frames that wait for a worker are the rest"
+            " frames that wait for a worker are the rest",
         )
-        yield compared(f"table 1, {name}, memory", str(size_mb), mb[0], mb[1], "MB", why)
         for series, values in ((rates, ((low, high), *fps)), (memory, (size_mb, *mb))):
             for key, value in zip(series, values, strict=True):
                 series[key].append(value)
-    least = both(min(rates[key]) for key in ("printed method", "corrected"))
-    slow = "not every model reaches the printed rate on this machine"
-    yield shown(
-        "section 3, least frame rate", "8", *least, min(least) >= 8, slow, "frames/s"
+    least = tuple(min(rates[key]) for key in ("printed method", "corrected"))
+    yield row(
+        "section 3, least frame rate",
+        "8",
+        least,
+        "frames/s",
+        "not every model reaches the printed rate on this machine",
+        min(least) >= 8,
     )
     labels = [f"{name}, {faces:,} faces" for name, (faces, *_) in TABLE_1.items()]
-    yield bars(
+    yield Bars(
         "table 1, apple, frame rate", "frame rate", "frames per second", labels, rates
     )
-    yield bars("table 1, apple, memory", "memory", "MB", labels, memory)
+    yield Bars("table 1, apple, memory", "memory", "MB", labels, memory)

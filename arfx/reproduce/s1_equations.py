@@ -28,7 +28,7 @@ from arfx.papers.s1_light import (
     squared_weight,
 )
 from arfx.papers.s1_lightmap import phong
-from arfx.reproduce.rows import Item, Row, both, compared, curves, shown
+from arfx.reproduce.rows import Item, curves, row
 from arfx.reproduce.work import Work
 from arfx.stages.composite import shade
 
@@ -62,12 +62,13 @@ def rows(work: Work) -> Iterator[Item]:
 def section_2_3() -> Iterator[Item]:
     """Phong's model, and shadows."""
     v, d = normalise(np.array([[-0.6, 0, 0.8]])), np.array([0.6, 0, 0.8])
-    highlight = float(phong(UP[None], v, d, np.array([0.3]))[0])
-    yield shown(
+    highlight = phong(UP[None], v, d, np.array([0.3]))[0]
+    yield row(
         "section 2.3, Phong's highlight in the mirrored direction",
         "brightest",
         highlight,
-        None,
+        "",
+        "",
         abs(highlight - 1) < 1e-9,
     )
     light = np.full((1, 1, 3), SRGB.decode(np.array(200 / 255)), np.float32)
@@ -79,13 +80,14 @@ def section_2_3() -> Iterator[Item]:
         np.zeros(3, np.float32),
         dark,
     )
-    coded = float(255 * SRGB.encode(dark.astype(float))[0, 0, 0])
-    why = (
+    coded = 255 * SRGB.encode(dark.astype(float))[0, 0, 0]
+    yield row(
+        "section 2.3, half of the light on coded 200",
+        None,
+        (coded, coded),
+        "of 255",
         "the paper does not say what a shadow takes. Here, by both formulas: a share of the"
-        " light, in linear light"
-    )
-    yield Row(
-        "section 2.3, half of the light on coded 200", None, coded, coded, why, "of 255"
+        " light, in linear light",
     )
 
 
@@ -108,13 +110,13 @@ def equation_1() -> Iterator[Item]:
         np.zeros((1, 3)),
         tuple(FittedLight(a, b[None], 1.0) for a, b in zip(d, omega, strict=True)),
     )
-    off = both(
-        float(np.abs(e - x).max()) for e in (shared.radiance(n), found.irradiance(n))
-    )
-    yield shown(
+    off = tuple(np.abs(e - x).max() for e in (shared.radiance(n), found.irradiance(n)))
+    yield row(
         "equation (1), two lights: largest difference from the sum",
         "x = Σ max(n·d, 0) Ω",
-        *off,
+        off,
+        "",
+        "",
         max(off) < 1e-12,
     )
 
@@ -148,23 +150,18 @@ def equation_2(seeds: int) -> Iterator[Item]:
         found.append([255 * printed.bias[0], 255 * corrected.bias[0], *off])
     table = np.array(found)
     by, bc, ey, ec = (float(m) for m in np.median(table, 0))
-    spread = (
-        f" (10 to 90 % of clips: {np.percentile(table[:, 0], 10):.1f} to"
-        f" {np.percentile(table[:, 0], 90):.1f})"
-    )
-    yield compared(
+    yield row(
         "equation (2), ρ as mean brightness: bias, true 12 of 255",
         f"{BIAS:.0f}",
-        by,
-        bc,
+        (by, bc),
         "of 255",
-        why + spread,
+        why + f" (10 to 90 % of clips: {np.percentile(table[:, 0], 10):.1f} to"
+        f" {np.percentile(table[:, 0], 90):.1f})",
     )
-    yield compared(
+    yield row(
         "equation (2), ρ as mean brightness: largest error of the light's ratios",
         "0",
-        ey,
-        ec,
+        (ey, ec),
         "%",
         why,
     )
@@ -179,22 +176,19 @@ def equation_4() -> Iterator[Item]:
             for p in (True, False)
         }
         corrected = 255 * float(solve(three(grey), None, RHO).bias[0])
-        yield compared(
+        yield row(
             f"equation (4), b = 1/b', {frames} frames, true 12 of 255",
             f"{BIAS:.0f}",
-            b[True],
-            corrected,
+            (b[True], corrected),
             "of 255",
             FREE,
         )
-    yield compared(
+    yield row(
         "equation (4), b = b'/g', 40 frames, true 12 of 255",
         f"{BIAS:.0f}",
-        b[False],
-        corrected,
+        (b[False], corrected),
         "of 255",
-        "",
-        1e-6,
+        tolerance=1e-6,
     )
 
 
@@ -202,10 +196,6 @@ def equations_5_6(seeds: int) -> Iterator[Item]:
     """The homogeneous system: solutions beside one another, and under noise."""
     grey, _ = clip(0)
     flat = RHO * np.full((25, 1), 120.0) + BIAS
-    lacks = (
-        "whatever the light does, a patch of one albedo cannot tell g, b and x apart."
-        " Corrected: it is said, and b = 0 assumed"
-    )
     cases = {
         "equation (5), one patch, 25 frames": (grey[:, :1], RHO[:1]),
         "equation (5), four patches of one albedo, 25 frames": (grey[:, :4], RHO[:4]),
@@ -216,24 +206,22 @@ def equations_5_6(seeds: int) -> Iterator[Item]:
     for item, (seen, rho) in cases.items():
         one = solve(three(seen), None, rho, tolerances=EXACT).verdict == MEASURED
         nullity = eq6_smallest_vector(seen, rho).nullity
-        yield compared(
+        yield row(
             f"{item}: solutions",
             "1",
-            nullity,
-            1 if one else "refused",
+            (nullity, 1 if one else "refused"),
             "dimensions",
-            lacks,
+            "whatever the light does, a patch of one albedo cannot tell g, b and x apart."
+            " Corrected: it is said, and b = 0 assumed",
         )
     exact = 255 * eq6_smallest_vector(grey, RHO).bias
     corrected = 255 * float(solve(three(grey), None, RHO).bias[0])
-    yield compared(
+    yield row(
         "equation (6), bias without noise, true 12 of 255",
         f"{BIAS:.0f}",
-        exact,
-        corrected,
+        (exact, corrected),
         "of 255",
-        "",
-        1e-6,
+        tolerance=1e-6,
     )
     rho = np.linspace(0.45, 0.55, 8)
     found: dict[str, list[float]] = {"255": [], "1": [], "corrected": []}
@@ -245,25 +233,21 @@ def equations_5_6(seeds: int) -> Iterator[Item]:
         solved = solve(three(noisy), None, rho, tolerances=EXACT)
         found["corrected"] += [float(solved.bias[0])] * (solved.verdict == MEASURED)
     b = {k: float(np.median(v)) for k, v in found.items()}
-    why = (
-        "the noise is in the I column alone, so the vector is biased, and by the unit of"
-        " I. Corrected: g = 1, robust least squares, refused in"
-        f" {seeds - len(found['corrected'])} of {seeds} clips of 6 frames"
-    )
     for unit in ("255", "1"):
-        item = (
+        yield row(
             "equation (6), bias with noise of 2, true 12 of 255, albedos .45 to .55, I up"
-            f" to {unit}"
+            f" to {unit}",
+            f"{BIAS:.0f}",
+            (b[unit], b["corrected"]),
+            "of 255",
+            "the noise is in the I column alone, so the vector is biased, and by the unit of"
+            " I. Corrected: g = 1, robust least squares, refused in"
+            f" {seeds - len(found['corrected'])} of {seeds} clips of 6 frames",
         )
-        yield compared(item, f"{BIAS:.0f}", b[unit], b["corrected"], "of 255", why)
 
 
 def equation_7() -> Iterator[Item]:
     """The update of the map."""
-    replaces = (
-        "f = 1 at the normal itself: the newest reading replaces all older ones. Corrected:"
-        " an update by precision"
-    )
 
     def seen(values: np.ndarray) -> np.ndarray:
         """(t, 2) printed and corrected map at a normal that shows these values (t,), one
@@ -279,39 +263,35 @@ def equation_7() -> Iterator[Item]:
             out.append((printed.M[at, 0], corrected))
         return np.array(out)
 
-    last = both((seen(np.full(1000, 0.7))[-1] / 0.7).tolist())
+    last = tuple((seen(np.full(1000, 0.7))[-1] / 0.7).tolist())
     noisy = seen(0.7 + NOISE * np.random.default_rng(0).normal(size=400))
-    yield compared(
+    yield row(
         "equation (7), constant light after 1,000 updates",
         "1",
-        *last,
+        last,
         "of the light",
-        "",
-        1e-6,
+        tolerance=1e-6,
     )
-    left = both(100 * float(s) / NOISE for s in np.std(noisy[50:], axis=0))
-    yield shown(
+    left = tuple(100 * float(s) / NOISE for s in np.std(noisy[50:], axis=0))
+    yield row(
         "equation (7), noise of one normal that is left",
         "M ← (1 − f) M + f x",
-        *left,
-        False,
-        replaces,
+        left,
         "%",
+        "f = 1 at the normal itself: the newest reading replaces all older ones. Corrected:"
+        " an update by precision",
     )
-    newest = both(
+    newest = tuple(
         100 * float(np.mean(f(hemisphere(4) @ UP) >= 0.5))
         for f in (printed_weight, corrected_weight)
     )
-    sudden = (
-        "as section 2.2 says, light that changes at once is not renewed at once; and (8)"
-        " lacks its square: see there"
-    )
-    yield Row(
+    yield row(
         "section 2.2, normals that one frame renews by half or more",
         "one",
-        *newest,
-        sudden,
+        newest,
         "% of the hemisphere",
+        "as section 2.2 says, light that changes at once is not renewed at once; and (8)"
+        " lacks its square: see there",
     )
 
 
@@ -325,36 +305,31 @@ def corrected_weight(cosine: np.ndarray) -> np.ndarray:
 
 def equation_8() -> Iterator[Item]:
     """The weight of a normal."""
-    yield Row("equation (8), s", "a blur constant", S_RAD, S_RAD, NO_VALUE, "rad")
-    why = "the square of a Gaussian is missing in print: the weight has a cusp at 0"
+    yield row("equation (8), s", "a blur constant", (S_RAD, S_RAD), "rad", NO_VALUE)
     for angle_deg in (0, 1, 5, 10, 20, 30):
         cosine = np.cos(np.radians([angle_deg]))
-        f = both(float(weight(cosine)[0]) for weight in (printed_weight, corrected_weight))
-        holds = abs(f[0] - f[1]) < 1e-6
-        yield shown(
+        f = tuple(weight(cosine)[0] for weight in (printed_weight, corrected_weight))
+        yield row(
             f"equation (8), weight at {angle_deg} degrees",
             "exp(−θ / (2 s²))",
-            *f,
-            holds,
-            why,
+            f,
+            "",
+            "the square of a Gaussian is missing in print: the weight has a cusp at 0",
+            abs(f[0] - f[1]) < 1e-6,
         )
     # nothing of the sphere is left out by cos(cos θ) > 0, half of it by cos θ > 0
     away = np.cos(np.radians([91.0, 120, 150, 180]))
-    out = both(
+    out = tuple(
         100 * float(np.mean(f == 0))
         for f in (eq8_weight(away, 2.0), corrected_weight(away))
     )
-    why = (
-        "the cosine of a cosine is never negative: the condition excludes nothing."
-        " Corrected: n·n' > 0"
-    )
-    yield shown(
+    yield row(
         "equation (8), condition cos(n·n') > 0: directions behind that it excludes",
         "all",
-        *out,
-        False,
-        why,
+        out,
         "%",
+        "the cosine of a cosine is never negative: the condition excludes nothing."
+        " Corrected: n·n' > 0",
     )
     angles_deg = np.linspace(0, 40, 161)
     cosines = np.cos(np.radians(angles_deg))
@@ -387,15 +362,15 @@ def cap(span_deg: float, count: int, seed: int = 0) -> np.ndarray:
 def equation_9(seeds: int) -> Iterator[Item]:
     """Lights at the peaks of the map."""
     params = PrintedLightParams(albedos="known")
-    yield Row(
+    yield row(
         "equation (9), I_c",
         "a large value",
         f"{params.peak:g} of the largest",
-        None,
+        "",
         NO_VALUE,
     )
-    yield Row(
-        "equation (9), ε", "a small angle", params.peak_apart_deg, None, NO_VALUE, "degrees"
+    yield row(
+        "equation (9), ε", "a small angle", params.peak_apart_deg, "degrees", NO_VALUE
     )
     candidates, n = hemisphere(4), cap(75, 220)
     for apart_deg in (30, 60, 80):
@@ -411,27 +386,24 @@ def equation_9(seeds: int) -> Iterator[Item]:
             [li.direction for li in found.lights if not li.dome and li.confidence_deg < 90]
         ).reshape(-1, 3)
         what = f"equation (9), two equal lamps {apart_deg} degrees apart"
-        yield compared(
-            f"{what}: lights", "2", len(peaks), len(fitted) or "refused", "", PEAKS
-        )
+        yield row(f"{what}: lights", "2", (len(peaks), len(fitted) or "refused"), "", PEAKS)
         off = [off_deg(directions, lamps) for directions in (peaks, fitted)]
-        yield compared(
+        yield row(
             f"{what}: direction off",
             "0",
-            off[0],
-            "refused" if off[1] is None else off[1],
+            (off[0], "refused" if off[1] is None else off[1]),
             "degrees",
             PEAKS,
         )
     clips = [one_lamp(seed, params) for seed in range(seeds)]
-    median = both(
-        float(np.median([o for o in column if o is not None]))
+    median = tuple(
+        np.median([o for o in column if o is not None])
         for column in zip(*clips, strict=True)
     )
-    yield compared(
+    yield row(
         "equation (9), one lamp with ambient light, median: direction off",
         "0",
-        *median,
+        median,
         "degrees",
         PEAKS,
     )
@@ -441,23 +413,23 @@ def equation_9(seeds: int) -> Iterator[Item]:
         fit(np.repeat(normal[None], 20, 0), np.full((20, 3), 0.6)).verdict == MEASURED
         for normal in normals[:5]
     ]
-    why = (
+    count = tuple((sum(map(len, single)), sum(claimed)))
+    yield row(
+        "equation (9), a marker at rest, 50 normals: lights",
+        "at a peak",
+        count,
+        "",
         "from one normal no direction can be known: the peak is the normal itself."
-        " Corrected: refused, another cue is taken"
-    )
-    count = both((float(sum(map(len, single))), float(sum(claimed))))
-    yield Row(
-        "equation (9), a marker at rest, 50 normals: lights", "at a peak", *count, why
+        " Corrected: refused, another cue is taken",
     )
     five = np.concatenate(
         [UP[None], normalise(np.array([[1, 0, 1], [-1, 0, 1], [0, 1, 1], [0, -1, 1.0]]))]
     )
     kept = len(lights_of([reading(five, 0.6)], PrintedLightParams(peak=0.3))[0][0].lights)
-    yield compared(
+    yield row(
         "equation (9), five peaks: lights",
         "5",
-        kept,
-        LightParams().most_lights,
+        (kept, LightParams().most_lights),
         "",
         "corrected: two lamps at most",
     )

@@ -26,22 +26,12 @@ from arfx.papers.s2_lens import (
     eq2_picture,
     eq3_circle,
     eq4_front,
-    eq5_back,
     eq6_total,
     hyperfocal,
     printed_limits,
 )
 from arfx.reproduce import s2_figures, s2_rates
-from arfx.reproduce.rows import (
-    COLOURS,
-    UNDERIVED,
-    Item,
-    Row,
-    compared,
-    curves,
-    said,
-    shown,
-)
+from arfx.reproduce.rows import COLOURS, Item, Row, curves, row
 from arfx.reproduce.work import Work
 from arfx.stages.dof.aperture import disc
 from arfx.stages.dof.optics import CircleOfConfusion
@@ -70,29 +60,13 @@ def _circle() -> Iterator[Item]:
     """(1) to (3), (7)."""
     true, infinite = float(circle_of_confusion_mm(OTHER, LENS)), LENS.coc_at_infinity_mm
     picture = eq2_picture(F, L)
-    for item, printed, value, right in (
-        (
-            "equation (1)",
-            "C = V_A/U_A |U_B - U_A|/U_B D",
-            eq1_circle(picture, L, OTHER, F / N),
-            true,
-        ),
-        # C of infinity is D v / u
-        ("equation (2)", "1/f = 1/u + 1/v", picture, infinite * L / (F / N)),
-        (
-            "equation (3)",
-            "C = F²/(U_A - F) |U_B - U_A|/(N U_B)",
-            eq3_circle(F, N, L, OTHER),
-            true,
-        ),
-        (
-            "equation (7)",
-            "C = F²/(U - F) |L - U|/(N L)",
-            float(eq7_circle(1e3 / OTHER, AT)),
-            true,
-        ),
-    ):
-        yield _same(item, printed, value, right)
+    first, third = eq1_circle(picture, L, OTHER, F / N), eq3_circle(F, N, L, OTHER)
+    seventh = float(eq7_circle(1e3 / OTHER, AT))
+    yield _same("equation (1)", "C = V_A/U_A |U_B - U_A|/U_B D", first, true)
+    # C of infinity is D v / u
+    yield _same("equation (2)", "1/f = 1/u + 1/v", picture, infinite * L / (F / N))
+    yield _same("equation (3)", "C = F²/(U_A - F) |U_B - U_A|/(N U_B)", third, true)
+    yield _same("equation (7)", "C = F²/(U - F) |L - U|/(N L)", seventh, true)
     item, far = "equation (3), infinitely far", eq3_circle(F, N, L, 1e12)
     yield _same(item, "F²/(N (U_A - F))", far, infinite, 1e-6)
 
@@ -100,154 +74,123 @@ def _circle() -> Iterator[Item]:
 def _same(item: str, printed: str, value: float, other: float, within: float = 1e-9) -> Row:
     """Two lengths, mm. within : as a fraction"""
     same = math.isclose(value, other, rel_tol=within)
-    return said(item, printed, (value, other), same, "another length", "mm")
+    return row(item, printed, (value, other), "mm", "another length", same)
+
+
+def _sharp_mm(lens: Lens) -> tuple[tuple[float, float], tuple[float, float]]:
+    """What is sharp before the focus, as printed and corrected, and behind it."""
+    (front, back), (true_front, true_back) = (
+        (limits.front_mm or 0.0, limits.back_mm or 0.0)
+        for limits in (printed_limits(lens, C), depth_of_field(lens, C))
+    )
+    return (front, true_front), (back, true_back)
 
 
 def _limits() -> Iterator[Item]:
     """(4) to (6): the circle where they lie, and where they have no value."""
-    for far, why in ((L, L_LESS_F), (2 * F, f"{L_LESS_F}: twice as large at L = 2 F")):
+    for far, of, why in (
+        (L, "", L_LESS_F),
+        (2 * F, ", L = 2 F", f"{L_LESS_F}: twice as large at L = 2 F"),
+    ):
         lens = replace(LENS, focus_mm=far)
-        true = depth_of_field(lens, C)
-        back = eq5_back(N, C, far, F)
-        assert true.front_mm is not None and true.back_mm is not None and back is not None
-        of = "" if far == L else ", L = 2 F"
-        for name, at, right in (
-            ("equation (4)", far - eq4_front(N, C, far, F), far - true.front_mm),
-            ("equation (5)", far + back, far + true.back_mm),
-        ):
-            at_limit, right_limit = (
-                float(circle_of_confusion_mm(d, lens)) for d in (at, right)
-            )
-            yield compared(
-                f"{name}{of}, circle (3) at this limit",
+        fronts, backs = _sharp_mm(lens)
+        ends = {"(4)": [far - mm for mm in fronts], "(5)": [far + mm for mm in backs]}
+        for name, places in ends.items():
+            yield row(
+                f"equation {name}{of}, circle (3) at this limit",
                 f"{C}",
-                at_limit,
-                right_limit,
+                [float(circle_of_confusion_mm(place, lens)) for place in places],
                 "mm",
                 why,
-                1e-9,
+                tolerance=1e-9,
             )
-    both = depth_of_field(LENS, C)
-    assert both.front_mm is not None and both.back_mm is not None
-    total = eq6_total(N, C, L, F)
-    parts = eq4_front(N, C, L, F) + (eq5_back(N, C, L, F) or 0.0)
-    why = (
-        "L in the denominator is not squared, the dimensions do not match; the sum of (4)"
-        " and (5) is {:.4f}, and by (3) {:.4f}"
-    )
-    yield Row(
+    fronts, backs = _sharp_mm(LENS)
+    parts, true_parts = (a + b for a, b in zip(fronts, backs, strict=True))
+    yield row(
         "equation (6)",
         "ΔL1 + ΔL2",
-        total,
-        both.total_mm,
-        why.format(parts, both.front_mm + both.back_mm),
+        (eq6_total(N, C, L, F), depth_of_field(LENS, C).total_mm),
         "mm",
+        "L in the denominator is not squared, the dimensions do not match; the sum of (4)"
+        f" and (5) is {parts:.4f}, and by (3) {true_parts:.4f}",
     )
     squared = 2 * F**2 * N * C * L**2 / (F**4 - (N * C * L) ** 2)
     yield _same("equation (6), L squared", "ΔL1 + ΔL2", squared, parts, 1e-12)
     here, true_mm = hyperfocal(N, C, F), depth_of_field(LENS, C).hyperfocal_mm
-    why = f"{L_LESS_F}; (5) has its pole there"
-    yield Row("equation (5), hyperfocal distance", "F²/(N C)", here, true_mm, why, "mm")
+    yield row(
+        "equation (5), hyperfocal distance",
+        "F²/(N C)",
+        (here, true_mm),
+        "mm",
+        f"{L_LESS_F}; (5) has its pole there",
+    )
     beyond = Lens(F, N, 2 * true_mm)
-    printed, corrected = printed_limits(beyond, C), depth_of_field(beyond, C)
-    least = sharp_range(
-        replace(
-            AT, focus=1e3 / beyond.focus_mm, px_per_dioptre=1e-3 * beyond.coc_mm_per_dioptre
-        ),
-        F,
-        C,
-    )[0]
-    words = (
-        "not defined" if printed.back_mm is None else f"{printed.back_mm:g}",
-        (
-            "infinite"
-            if corrected.back_mm is not None and math.isinf(corrected.back_mm)
-            else f"{corrected.back_mm}"
-        ),
-    )
-    why = (
+    px_per_dioptre = 1e-3 * beyond.coc_mm_per_dioptre
+    at = replace(AT, focus=1e3 / beyond.focus_mm, px_per_dioptre=px_per_dioptre)
+    least = sharp_range(at, F, C)[0]
+    words = [
+        "not defined" if mm is None else "infinite" if math.isinf(mm) else f"{mm:g}"
+        for mm in (printed_limits(beyond, C).back_mm, depth_of_field(beyond, C).back_mm)
+    ]
+    yield row(
+        "equation (5), beyond the hyperfocal distance",
+        "NCL²/(F² - NCL)",
+        words,
+        "",
         f"negative in print. As a dioptre its limit is {least:.4f} / m, below that of"
-        " infinity: all behind is inside"
-    )
-    yield Row(
-        "equation (5), beyond the hyperfocal distance", "NCL²/(F² - NCL)", *words, why
+        " infinity: all behind is inside",
     )
 
 
 def _example() -> Iterator[Item]:
     """Section 3.1."""
-    printed, true = printed_limits(LENS, C), depth_of_field(LENS, C)
-    assert printed.front_mm and printed.back_mm and true.front_mm and true.back_mm
+    fronts, backs = _sharp_mm(LENS)
     for name, value, used, unit in (
         ("f-number", "11", LENS.fnumber, ""),
         ("focal length", "200", LENS.focal_mm, "mm"),
         ("distance", "2.5", LENS.focus_mm / 1e3, "m"),
     ):
-        yield compared(f"section 3.1, {name}", value, used, used, unit)
+        yield row(f"section 3.1, {name}", value, (used, used), unit)
     as_radius = eq4_front(N, 2 * C, L, F)
-    yield Row(
+    yield row(
         "section 3.1, permitted circle",
         "radius .035 mm",
-        "diameter .035 mm",
-        "diameter .035 mm",
-        (
-            "the formulas take a diameter, and with .035 as such they give the printed 58.7"
-            f" mm; as a radius {as_radius:.1f} mm"
-        ),
+        ("diameter .035 mm", "diameter .035 mm"),
+        "",
+        "the formulas take a diameter, and with .035 as such they give the printed 58.7"
+        f" mm; as a radius {as_radius:.1f} mm",
     )
     of = "section 3.1, "
-    yield compared(
-        f"{of}front depth of field (4)",
-        "58.7",
-        printed.front_mm,
-        true.front_mm,
-        "mm",
-        L_LESS_F,
-    )
-    yield compared(
-        f"{of}back depth of field (5)",
-        "61.6",
-        printed.back_mm,
-        true.back_mm,
-        "mm",
-        L_LESS_F,
-    )
-    near, far = (L - printed.front_mm) / 1e3, (L + printed.back_mm) / 1e3
-    yield compared(
-        f"{of}sharp from", "2.4413", near, (L - true.front_mm) / 1e3, "m", L_LESS_F
-    )
-    yield compared(f"{of}sharp to", "2.5616", far, (L + true.back_mm) / 1e3, "m", L_LESS_F)
-    why = (
-        "follows from none of the formulas: (4) + (5) is"
-        f" {printed.front_mm + printed.back_mm:.3f} mm, (6) {printed.total_mm:.3f} mm; it"
-        " is said to come from the camera's matrix, which is not stated"
-    )
-    yield compared(
+    yield row(f"{of}front depth of field (4)", "58.7", fronts, "mm", L_LESS_F)
+    yield row(f"{of}back depth of field (5)", "61.6", backs, "mm", L_LESS_F)
+    near, far = [(L - mm) / 1e3 for mm in fronts], [(L + mm) / 1e3 for mm in backs]
+    yield row(f"{of}sharp from", "2.4413", near, "m", L_LESS_F)
+    yield row(f"{of}sharp to", "2.5616", far, "m", L_LESS_F)
+    yield row(
         f"{of}depth of field of the composited scene",
         "126.746",
         None,
-        None,
         "mm",
-        why,
+        f"follows from none of the formulas: (4) + (5) is {fronts[0] + backs[0]:.3f} mm,"
+        f" (6) {eq6_total(N, C, L, F):.3f} mm; it"
+        " is said to come from the camera's matrix, which is not stated",
     )
-    yield Row(
+    yield row(
         f"{of}matrix of the camera",
         "found by OpenCV",
         None,
-        None,
-        "its elements are not known",
         "",
-        UNDERIVED,
+        "its elements are not known",
     )
     distance = np.linspace(2350, 2680, 400)
     circle = np.array([eq3_circle(F, N, L, d) for d in distance])
     apart = float(np.abs(circle - circle_of_confusion_mm(distance, LENS)).max())
-    words = f"circles of 0 to {circle.max():.3f} mm"
-    yield shown(
+    yield row(
         "figure 3",
         "circle of a point beside the focus",
-        words,
-        f"{apart:.0e} mm apart from them",
+        (f"circles of 0 to {circle.max():.3f} mm", f"{apart:.0e} mm apart from them"),
+        "",
+        "",
         apart < 1e-9,
     )
     plot = curves(
@@ -257,10 +200,7 @@ def _example() -> Iterator[Item]:
         distance,
         {"circle (3)": circle, "permitted": np.full_like(distance, C)},
     )
-    for (front_mm, back_mm), colour in (
-        ((printed.front_mm, printed.back_mm), COLOURS[2]),
-        ((true.front_mm, true.back_mm), COLOURS[3]),
-    ):
+    for front_mm, back_mm, colour in zip(fronts, backs, COLOURS[2:], strict=True):
         for limit_mm in (L - front_mm, L + back_mm):
             plot.figure.axes[0].axvline(limit_mm, color=colour, ls=":")
     yield plot
@@ -270,73 +210,59 @@ def _blur_factor() -> Iterator[Item]:
     """Section 3.2, and what of it is wrong."""
     far = np.linspace(0.0, 1e3 / L, 50)
     rises = [
-        bool((np.diff(f) <= 0).all())
+        "rises" if (np.diff(f) <= 0).all() else "does not rise"
         for f in (blur_factor(far, (0.0, 2.0), AT), AT.radius_px(far))
     ]
-    words = ["rises" if r else "does not rise" for r in rises]
-    yield said(
-        "section 3, blur with distance from the focus",
-        "rises",
-        words,
-        all(rises),
-        "not everywhere",
+    yield row(
+        "section 3, blur with distance from the focus", "rises", rises, "", "not everywhere"
     )
     a = blur_factor(np.array([0.0, 1e3 / L, 50.0]), (0.1, 2.0), AT)
-    span = f"{a.min():g} to {a.max():g}"
-    yield said(
+    yield row(
         "section 3.4, range of α",
         "0 to 1",
-        span,
-        span == "0 to 1",
+        f"{a.min():g} to {a.max():g}",
+        "",
         "outside of it",
     )
-    yield shown(
-        "section 3.2, depth = z / z_far",
-        "0 to 1",
+    words, why = (
         "dioptres, 0 to 1 / z_near",
-        "dioptres, 0 to 1 / z_near",
-        False,
         "1 / z has no largest distance: what is infinitely far has a place",
     )
-    infinite = float(blur_factor(np.array([0.0]), (0.0, 20.0), AT)[0])
-    times = f"{LENS.coc_at_infinity_mm / C:.0f} × the permitted circle"
-    why = (
-        "C_near of a plane at 50 mm is so large that all else seems sharp: a depends on"
-        " planes that nobody sees"
-    )
-    yield Row(
+    yield row("section 3.2, depth = z / z_far", "0 to 1", (words, words), "", why)
+    infinite = blur_factor(np.array([0.0]), (0.0, 20.0), AT)[0]
+    yield row(
         "section 3.2, a of infinity, near plane at 50 mm",
         "c / max(c_near, c_far)",
-        infinite,
-        times,
-        why,
+        (infinite, f"{LENS.coc_at_infinity_mm / C:.0f} × the permitted circle"),
+        "",
+        "C_near of a plane at 50 mm is so large that all else seems sharp: a depends on"
+        " planes that nobody sees",
     )
     one = [
         float(blur_factor(np.array([1e3 / OTHER]), (1 / z, 0.5), AT)[0])
         for z in (6.0, 1000.0)
     ]
-    same = f"{float(circle_of_confusion_mm(OTHER, LENS)):.4f} mm with both"
-    why = "one thing's blur changes with the far plane"
-    ours = f"{one[0]:.3f} with z_far = 6 m, {one[1]:.3f} with 1000 m"
-    yield Row("section 3.2, a of a thing at 5 m", "one value", ours, same, why)
-    wide = replace(AT, px_per_dioptre=AT.px_per_dioptre * N / 2)
-    ratio = float(
-        blur_factor(np.array([0.2]), (0.0, 0.5), wide)[0]
-        / blur_factor(np.array([0.2]), (0.0, 0.5), AT)[0]
+    yield row(
+        "section 3.2, a of a thing at 5 m",
+        "one value",
+        (
+            f"{one[0]:.3f} with z_far = 6 m, {one[1]:.3f} with 1000 m",
+            f"{float(circle_of_confusion_mm(OTHER, LENS)):.4f} mm with both",
+        ),
+        "",
+        "one thing's blur changes with the far plane",
     )
-    true = float(
-        circle_of_confusion_mm(OTHER, Lens(F, 2.0, L)) / circle_of_confusion_mm(OTHER, LENS)
-    )
-    why = (
-        "F and N cancel in a: an open and a closed aperture blur alike, but for the limits"
-        " (4) and (5)"
-    )
-    yield Row(
+    wide, place = replace(AT, px_per_dioptre=AT.px_per_dioptre * N / 2), np.array([0.2])
+    ratio = (blur_factor(place, (0.0, 0.5), wide) / blur_factor(place, (0.0, 0.5), AT))[0]
+    circle = circle_of_confusion_mm(OTHER, LENS)
+    true = circle_of_confusion_mm(OTHER, Lens(F, 2.0, L)) / circle
+    yield row(
         "section 3.2, blur at f/2 over that at f/11",
         "from focal length and f-number",
-        ratio,
-        true,
-        why,
+        (ratio, true),
+        "",
+        "F and N cancel in a: an open and a closed aperture blur alike, but for the limits"
+        " (4) and (5)",
     )
 
 
@@ -349,28 +275,36 @@ def _luminance() -> Iterator[Item]:
         only = np.full((3, 3, 3), 100, np.float32)
         only[y, x] = 101
         seen.append(float(eq8_bleed(only, flat)[1, 1, 0]) > 100.5 and (y, x) != (1, 1))
-    yield compared("figure 7, neighbours that count", "8", float(sum(seen)))
-    result = float(eq8_bleed(np.dstack([around] * 3), flat)[1, 1, 0])
+    yield row("figure 7, neighbours that count", "8", sum(seen))
+    result = eq8_bleed(np.dstack([around] * 3), flat)[1, 1, 0]
     more = around[around > 100] - 100
     expected = float((more / more.sum() * around[around > 100]).sum())
-    same = math.isclose(result, expected, rel_tol=1e-5)
-    item = "equation (8), 100 among 100, 120, 90, 180, 100, 60, 100, 140"
-    yield said(item, "weights 20/140, 80/140, 40/140", result, same)
-    even = np.full((3, 3, 3), 100, np.float32)
-    kept = float(
-        eq8_bleed(even - np.where(np.arange(9).reshape(3, 3, 1) == 4, 0, 50), flat)[1, 1, 0]
+    yield row(
+        "equation (8), 100 among 100, 120, 90, 180, 100, 60, 100, 140",
+        "weights 20/140, 80/140, 40/140",
+        result,
+        "",
+        "",
+        math.isclose(result, expected, rel_tol=1e-5),
     )
-    yield compared("equation (8), 100 among darker ones", "100", kept)
+    darker = np.full((3, 3, 3), 50, np.float32)
+    darker[1, 1] = 100
+    yield row(
+        "equation (8), 100 among darker ones",
+        "100",
+        eq8_bleed(darker, flat)[1, 1, 0],
+    )
     dot = np.zeros((9, 9, 3), np.float32)
     dot[4, 4] = 1
-    made = float(eq8_bleed(dot, np.ones((9, 9), np.float32))[..., 0].sum())
-    disc = float(DISC_ROWS.sum())
-    why = (
+    made = eq8_bleed(dot, np.ones((9, 9), np.float32))[..., 0].sum()
+    disc = DISC_ROWS.sum()
+    yield row(
+        "equation (8), light of one white pixel",
+        1.0,
+        (made, disc),
+        "white pixels",
         "each neighbour takes the white pixel's whole value: light is made from nothing,"
-        " and reaches one pixel. A disc keeps it"
-    )
-    yield Row(
-        "equation (8), light of one white pixel", 1.0, made, disc, why, "white pixels"
+        " and reaches one pixel. A disc keeps it",
     )
 
 
@@ -379,112 +313,90 @@ def _blocks() -> Iterator[Item]:
     (rows_px, columns_px), (tall, wide), size = (8, 16), (16, 24), 4
     why = "of their graphics program"
     parts = {
-        "colour": tall * wide * 3 * size,
-        "circle": tall * wide * size,
-        "luminance": tall * wide * size,
-        "result": rows_px * columns_px * 3 * size,
-        "intermediate": rows_px * columns_px * size,
+        "colour": ("4608", tall * wide * 3 * size),
+        "circle": ("1536", tall * wide * size),
+        "luminance": ("1536", tall * wide * size),
+        "result": ("1536", rows_px * columns_px * 3 * size),
+        "intermediate": ("512", rows_px * columns_px * size),
     }
-    printed = {
-        "colour": "4608",
-        "circle": "1536",
-        "luminance": "1536",
-        "result": "1536",
-        "intermediate": "512",
-    }
-    for name, value in parts.items():
-        yield compared(
-            f"figure 8, bytes of {name}",
-            printed[name],
-            float(value),
-            None,
-            "bytes",
-            why,
-        )
-    yield compared(
+    for name, (printed, value) in parts.items():
+        yield row(f"figure 8, bytes of {name}", printed, value, "bytes", why)
+    yield row(
         "figure 8, shared memory",
         "9728",
-        float(sum(parts.values())),
-        None,
+        sum(value for _, value in parts.values()),
         "bytes",
         why,
     )
-    yield compared(
+    yield row(
         "figure 8, blocks of 800 x 800",
         "5000",
-        float((800 // rows_px) * (800 // columns_px)),
-        None,
+        (800 // rows_px) * (800 // columns_px),
         "",
         why,
     )
-    yield compared(
-        "figure 8, threads of a block",
-        "128",
-        float(rows_px * columns_px),
-        None,
-        "",
-        why,
-    )
+    yield row("figure 8, threads of a block", "128", rows_px * columns_px, "", why)
     halo = (tall - rows_px) // 2
     largest = max(
         n
         for n in range(1, 64, 2)
         if len(PrintedDof(PrintedDofParams(mean_px=n)).weights) // 2 + 1 <= halo
     )
-    why = "not stated; the block holds 4 px around its own, of which (8) takes one"
-    usual = f"{PrintedDofParams().mean_px} px, at most {largest} px"
-    yield Row(
-        "section 3.3, size of the mean filter", None, usual, "discs of the blur circle", why
+    yield row(
+        "section 3.3, size of the mean filter",
+        None,
+        (
+            f"{PrintedDofParams().mean_px} px, at most {largest} px",
+            "discs of the blur circle",
+        ),
+        "",
+        "not stated; the block holds 4 px around its own, of which (8) takes one",
     )
 
 
 def _blend() -> Iterator[Item]:
     """(9), the factor 2/3 and its border."""
-    value = float(
-        eq9_blend(np.array([[0.25]]), np.full((1, 1, 3), 80.0), np.full((1, 1, 3), 40.0))[
-            0, 0, 0
-        ]
-    )
-    yield compared("equation (9), 80 over 40 with α = 1/4", "50", value)
+    over, under = np.full((1, 1, 3), 80.0), np.full((1, 1, 3), 40.0)
+    value = eq9_blend(np.array([[0.25]]), over, under)[0, 0, 0]
+    yield row("equation (9), 80 over 40 with α = 1/4", "50", value)
     step = np.where(np.arange(8) < 4, 0.0, 1.0)
     picture = np.repeat(np.repeat(step[None, :, None], 3, 0), 3, 2)
     half = eq9_blend(np.full((3, 8), 0.5), np.full_like(picture, 0.5), picture)
-    left = float(np.abs(np.diff(half[1, :, 0])).max())
-    why = (
-        "half of the edge stays as sharp as before; a disc of 3 px steps by no more than"
-        " one of its rows holds"
-    )
-    disc = float(DISC_ROWS.max())
-    yield Row(
+    left = np.abs(np.diff(half[1, :, 0])).max()
+    disc = DISC_ROWS.max()
+    yield row(
         "equation (9), sharp edge left at α = 1/2",
         "weighted mean",
-        left,
-        disc,
-        why,
+        (left, disc),
         "of the step",
+        "half of the edge stays as sharp as before; a disc of 3 px steps by no more than"
+        " one of its rows holds",
     )
     sharp = sharp_range(AT, F, C)
-    inside = float(within_depth_of_field(np.array([AT.focus]), sharp, 0.5)[0])
-    outside = float(within_depth_of_field(np.array([AT.focus + 0.1]), sharp, 0.5)[0])
-    yield said(
+    inside = within_depth_of_field(np.array([AT.focus]), sharp, 0.5)[0]
+    outside = within_depth_of_field(np.array([AT.focus + 0.1]), sharp, 0.5)[0]
+    yield row(
         "section 3.4, factor inside the depth of field",
         "2/3",
         inside,
+        "",
+        "",
         abs(inside - 2 / 3) < 1e-9,
     )
-    yield compared("section 3.4, factor outside", "1", outside)
+    yield row("section 3.4, factor outside", "1", outside)
     places = np.linspace(sharp[0] - 0.01, sharp[1] + 0.01, 4001)
     steps = [
         float(np.abs(np.diff(within_depth_of_field(places, sharp, border))).max())
         for border in (0.5, 0.0)
     ]
-    why = f"a hard border would be a step of {steps[1]:.2f}"
-    words = f"no step (at most {steps[0]:.4f} from one of 4000 places to the next)"
-    yield shown(
+    yield row(
         "section 3.4, border of the depth of field",
         "smooth",
-        words,
-        "no border",
+        (
+            f"no step (at most {steps[0]:.4f} from one of 4000 places to the next)",
+            "no border",
+        ),
+        "",
+        f"a hard border would be a step of {steps[1]:.2f}",
         steps[0] < 0.01,
-        why,
     )

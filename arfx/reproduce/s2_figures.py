@@ -18,14 +18,10 @@ from arfx.reproduce.rows import (
     REFERENCE,
     Figure,
     Item,
-    Row,
-    said,
-    shown,
+    row,
 )
 from arfx.reproduce.s2_scene import (
     BALL_M,
-    POINTS_M,
-    WALL_M,
     ball_model,
     desk,
     desk_shot,
@@ -56,17 +52,18 @@ def rows(work: Work) -> Iterator[Item]:
         GAUSSIAN: under(shot, "gaussian").picture(),
         PRINTED: shot.picture(),
         CORRECTED: under(shot, CORRECTED).picture(),
-        REFERENCE: photograph(work, scene),
+        REFERENCE: photograph(work),
     }
     photo = {REFERENCE: made[REFERENCE]}
     yield from _diagrams()
-    yield Row(
-        "figure 4", "photographs with depth of field", OPEN_LENS, OPEN_LENS, NO_CAMERA
+    yield row(
+        "figure 4", "photographs with depth of field", (OPEN_LENS, OPEN_LENS), "", NO_CAMERA
     )
     yield Figure("figure 4", "bright points spread over what is dark around them", photo)
     yield from _coordinates(shot, made[BEFORE], np.array(scene.shot[0].path.position_m))
     yield from _steps(shot, made)
-    yield from _points(shot, made)
+    points_m = np.array([ball.position_m for ball in scene.sphere[1:]])
+    yield from _points(shot, made, points_m)
     yield from _in_focus(shot, made[BEFORE])
     yield from _out_of_focus(shot, made)
     bare = work.clip(
@@ -86,27 +83,27 @@ def rows(work: Work) -> Iterator[Item]:
 
 def _diagrams() -> Iterator[Item]:
     order = ", ".join(name for name in STAGES if name in ("raster", "composite", "dof"))
-    why = (
+    yield row(
+        "figure 1",
+        "capture, virtual scene, interaction, communication, display",
+        ("clip, analysis, " + order, "clip, analysis, " + order),
+        "",
         "input devices, communication and display are no part of a program that processes"
-        " recorded clips"
+        " recorded clips",
     )
-    parts = "capture, virtual scene, interaction, communication, display"
-    yield Row(
-        "figure 1", parts, "clip, analysis, " + order, "clip, analysis, " + order, why
-    )
-    ends = order.endswith("composite, dof")
-    yield shown(
+    yield row(
         "figure 2",
         "virtual objects, composition, depth of field",
-        order,
-        order,
-        ends,
+        (order, order),
+        "",
+        "",
+        order.endswith("composite, dof"),
     )
 
 
 def _coordinates(shot: Shot, picture: np.ndarray, camera_m: np.ndarray) -> Iterator[Item]:
     """The axes of the world, drawn into the picture. camera_m : where the camera stands"""
-    facts, drawn = shot.renderer.facts, picture.copy()
+    facts, drawn = shot.facts, picture.copy()
     points = shot.job.scene.camera.project(
         facts.pose.apply(0.08 * np.vstack([np.zeros(3), np.eye(3)]))
     )
@@ -119,11 +116,14 @@ def _coordinates(shot: Shot, picture: np.ndarray, camera_m: np.ndarray) -> Itera
         "axes from a marker; the camera is"
         f" {1e3 * np.linalg.norm(facts.pose.inverse().translation_m - camera_m):.1f} mm off"
     )
-    why = (
+    yield row(
+        "figure 5",
+        "axes from feature points",
+        (found, found),
+        "",
         "found from a marker, whose size makes it metric; which feature points the authors"
-        " tracked is not stated"
+        " tracked is not stated",
     )
-    yield Row("figure 5", "axes from feature points", found, found, why)
     yield Figure(
         "figure 5", "axes of the world", {"x red, y green, z blue; 8 cm each": drawn}
     )
@@ -131,24 +131,23 @@ def _coordinates(shot: Shot, picture: np.ndarray, camera_m: np.ndarray) -> Itera
 
 def _steps(shot: Shot, made: Pictures) -> Iterator[Item]:
     """Figures 6 and 9 to 11: what the printed method keeps and makes on its way."""
-    stage = shot.renderer.prepared.stages["dof"]
+    stage = shot.stages["dof"]
     assert isinstance(stage, PrintedDof)
     run, scene = shot.renderer.run(shot.chain), shot.job.scene
     now = run.layers.view(scene.camera.rect)
     dioptre, a = stage.depth_and_blur(
-        now, shot.renderer.facts, scene, stage.prepare(scene, "standard")
+        now, shot.facts, scene, stage.prepare(scene, "standard")
     )
     coded = SRGB.encode(now[Layer.IMAGE]).astype(np.float32)
     blurred = _bytes(stage.blurred(coded, dioptre))
     luminance = coded @ yuv_from_rgb("bt601")[0]
-    span = (
-        f"depth {1 / dioptre.max():.2f}-{1 / dioptre.min():.2f} m, blur factor"
-        f" {a.min():.2f}-{a.max():.2f}, luminance"
-    )
-    yield said(
+    yield row(
         "figure 6",
         "depth with blur factor; luminance",
-        span,
+        f"depth {1 / dioptre.max():.2f}-{1 / dioptre.min():.2f} m, blur factor"
+        f" {a.min():.2f}-{a.max():.2f}, luminance",
+        "",
+        "",
         bool(0 <= a.min() <= a.max() <= 1),
     )
     textures = {
@@ -161,15 +160,18 @@ def _steps(shot: Shot, made: Pictures) -> Iterator[Item]:
         "textures",
         {name: _bytes(np.dstack([t] * 3)) for name, t in textures.items()},
     )
-    yield shown("figure 9", "the scene before", "a scene of the project", "the same", True)
+    yield row(
+        "figure 9", "the scene before", ("a scene of the project", "the same"), "", "", True
+    )
     yield Figure("figure 9", "before", {BEFORE: made[BEFORE]})
     apart = _levels(blurred, made[BEFORE])
-    yield said(
+    yield row(
         "figure 10",
         "blurred all over",
         f"{apart:.1f} grey levels from figure 9",
-        apart > 0.5,
+        "",
         "nothing was blurred",
+        apart > 0.5,
     )
     yield Figure(
         "figure 10",
@@ -179,13 +181,15 @@ def _steps(shot: Shot, made: Pictures) -> Iterator[Item]:
     sharp, printed, corrected = (
         _levels(made[name], made[REFERENCE]) for name in (BEFORE, PRINTED, CORRECTED)
     )
-    why = (
+    yield row(
+        "figure 11",
+        "like a camera",
+        [f"{x:.1f} grey levels from the photograph" for x in (printed, corrected)],
+        "",
         f"without blur it is {sharp:.1f} away. The printed filter has one size, here 7 px,"
         " and its blend keeps the sharp picture below the blurred one; the open lens makes"
-        " discs that grow with the distance"
+        " discs that grow with the distance",
     )
-    values = [f"{x:.1f} grey levels from the photograph" for x in (printed, corrected)]
-    yield said("figure 11", "like a camera", values, False, why)
     yield Figure(
         "figure 11", "sharp and blurred picture blended by (9)", _without_gaussian(made)
     )
@@ -195,19 +199,19 @@ def _without_gaussian(pictures: Pictures) -> Pictures:
     return {name: picture for name, picture in pictures.items() if name != GAUSSIAN}
 
 
-def _points(shot: Shot, made: Pictures) -> Iterator[Item]:
+def _points(shot: Shot, made: Pictures, points_m: np.ndarray) -> Iterator[Item]:
     """Figures 12 and 13: the Gaussian filter and the printed method, beside one another."""
-    ends = np.array([(x, WALL_M, z) for x, z in POINTS_M])
-    at = shot.job.scene.camera.project(shot.renderer.facts.pose.apply(ends))
+    at = shot.job.scene.camera.project(shot.facts.pose.apply(points_m))
     area = {name: _spread(picture, at) for name, picture in made.items()}
     words = {name: f"bright points of {px:.0f} px each" for name, px in area.items()}
     apart = _levels(made[GAUSSIAN], made[REFERENCE])
-    yield said(
+    yield row(
         "figure 12",
         "Gaussian filter",
         f"{words[GAUSSIAN]}, {apart:.1f} grey levels from the photograph",
-        area[GAUSSIAN] > area[BEFORE],
+        "",
         "nothing was spread",
+        area[GAUSSIAN] > area[BEFORE],
     )
     yield Figure(
         "figure 12",
@@ -218,13 +222,16 @@ def _points(shot: Shot, made: Pictures) -> Iterator[Item]:
             REFERENCE: made[REFERENCE],
         },
     )
-    yield shown(
+    yield row(
         "figure 13",
         "bright points spread more than in figure 12",
-        f"{words[PRINTED]}, Gaussian {area[GAUSSIAN]:.0f} px",
-        f"{words[CORRECTED]}, photograph {area[REFERENCE]:.0f} px",
-        min(area[PRINTED], area[CORRECTED]) > area[GAUSSIAN],
+        (
+            f"{words[PRINTED]}, Gaussian {area[GAUSSIAN]:.0f} px",
+            f"{words[CORRECTED]}, photograph {area[REFERENCE]:.0f} px",
+        ),
+        "",
         "they do not spread more",
+        min(area[PRINTED], area[CORRECTED]) > area[GAUSSIAN],
     )
     pad = 0.06 * made[BEFORE].shape[1]
     low, high = np.maximum(at.min(0) - pad, 0).astype(int), (at.max(0) + pad).astype(int)
@@ -239,13 +246,13 @@ def _in_focus(shot: Shot, before: np.ndarray) -> Iterator[Item]:
         for name, formula in ((PRINTED, PAPER), (CORRECTED, CORRECTED))
     }
     changed = [float((picture != before).mean()) for picture in closed.values()]
-    words = [f"{100 * c:.0f} % of the pixels blurred" for c in changed]
-    yield said(
+    yield row(
         "figure 14",
         "all in focus, nothing blurred",
-        words,
-        not any(changed),
+        [f"{100 * c:.0f} % of the pixels blurred" for c in changed],
+        "",
         "some pixels changed",
+        not any(changed),
     )
     yield Figure("figure 14", "a real and a virtual (blue) ball, all in focus", closed)
 
@@ -254,19 +261,21 @@ def _out_of_focus(shot: Shot, made: Pictures) -> Iterator[Item]:
     camera, before = shot.job.scene.camera, made[BEFORE]
     kept: dict[str, list[str]] = {name: [] for name in made}
     for ball, (centre, radius_m) in BALLS_M.items():
-        middle = shot.renderer.facts.pose.apply(np.array([centre]))
+        middle = shot.facts.pose.apply(np.array([centre]))
         where = camera.project(middle)[0], camera.fx * radius_m / middle[0, 2]
         for name, picture in made.items():
             share = _steepest(picture, *where) / _steepest(before, *where)
             kept[name].append(f"{ball} {100 * share:.0f} %")
     words = {name: ", ".join(of) for name, of in kept.items()}
-    why = (
+    yield row(
+        "figure 15",
+        "both balls blurred alike",
+        [f"outline keeps: {words[name]}" for name in (PRINTED, CORRECTED)],
+        "",
         f"of its steepness a ball's outline keeps in the photograph: {words[REFERENCE]}."
         " As printed outlines stay, since what stands in front does not flow into what is"
-        " behind, and the sharp picture shows through the blend"
+        " behind, and the sharp picture shows through the blend",
     )
-    found = [f"outline keeps: {words[name]}" for name in (PRINTED, CORRECTED)]
-    yield said("figure 15", "both balls blurred alike", found, False, why)
     height, width = before.shape[:2]
     part = np.s_[
         int(0.4 * height) : int(0.85 * height), int(0.1 * width) : int(0.7 * width)
@@ -280,7 +289,7 @@ def _out_of_focus(shot: Shot, made: Pictures) -> Iterator[Item]:
         " lacks)",
         near,
     )
-    yield Row("figure 16", "a photograph", OPEN_LENS, OPEN_LENS, NO_CAMERA)
+    yield row("figure 16", "a photograph", (OPEN_LENS, OPEN_LENS), "", NO_CAMERA)
     yield Figure("figure 16", "the same by an open lens", {REFERENCE: near[REFERENCE]})
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from arfx.core.machine import usable_cores
 from arfx.papers import CORRECTED, PAPER
-from arfx.reproduce.rows import UNDERIVED, Item, Row, bars, compared, said
+from arfx.reproduce.rows import Bars, Item, Row, row
 from arfx.reproduce.s2_scene import ball_model, moving_desk, moving_settings, room_model
 from arfx.reproduce.work import Timed, Work, frames_of, median_s
 
@@ -35,10 +35,18 @@ def rows(work: Work) -> Iterator[Item]:
     yield from _machine(
         [t.peak_mb for t in timed.values()], (clip.scene.clip.width, clip.scene.clip.height)
     )
-    alone = f"{HERE}. The stages alone, all is a model; {_of_dof(timed, 'all virtual')}"
-    yield _rate("section 4, all-virtual scene", 48.0, virtual, alone)
-    whole = f"{HERE}. With decoding, tracking and encoding; {_of_dof(timed, 'augmented')}"
-    yield _rate("section 4, augmented reality, GPU", 21.0, augmented, whole)
+    yield _rate(
+        "section 4, all-virtual scene",
+        48.0,
+        virtual,
+        f"{HERE}. The stages alone, all is a model; {_of_dof(timed, 'all virtual')}",
+    )
+    yield _rate(
+        "section 4, augmented reality, GPU",
+        21.0,
+        augmented,
+        f"{HERE}. With decoding, tracking and encoding; {_of_dof(timed, 'augmented')}",
+    )
     yield _rate(
         "section 4, augmented reality, CPU",
         14.0,
@@ -49,26 +57,36 @@ def rows(work: Work) -> Iterator[Item]:
         lambda: frames_of(clip.file), work.scaled(3, 1)
     )
     for how, printed in (("DirectShow", 16.0), ("the board's own software", 25.0)):
-        why = (
-            f"there is no camera: a clip of this size is decoded at {decoding:.0f} fps here"
+        yield row(
+            f"section 4, capture by {how}",
+            printed,
+            None,
+            "fps",
+            f"there is no camera: a clip of this size is decoded at {decoding:.0f} fps here",
         )
-        yield Row(
-            f"section 4, capture by {how}", printed, None, None, why, "fps", UNDERIVED
-        )
-    missed = f"not reached here, nor by the authors (21 fps): {HERE}"
-    yield _rate("section 5, rate that is needed", 25.0, augmented, missed)
+    yield _rate(
+        "section 5, rate that is needed",
+        25.0,
+        augmented,
+        f"not reached here, nor by the authors (21 fps): {HERE}",
+    )
     labels = [
         "all virtual, their GPU",
         "augmented reality, their GPU",
         "augmented reality, their CPU",
     ]
-    title = f"rates at {clip.scene.clip.width} x {clip.scene.clip.height}"
     series = {"printed": [48.0, 21.0, 14.0]}
     series |= {
         name: [virtual[k], augmented[k], augmented[k]]
         for k, name in enumerate(("printed method", "corrected"))
     }
-    yield bars("section 4, all-virtual scene", title, "fps", labels, series)
+    yield Bars(
+        "section 4, all-virtual scene",
+        f"rates at {clip.scene.clip.width} x {clip.scene.clip.height}",
+        "fps",
+        labels,
+        series,
+    )
 
 
 def _of_dof(timed: dict[tuple[str, str], Timed], mode: str) -> str:
@@ -82,28 +100,28 @@ def _of_dof(timed: dict[tuple[str, str], Timed], mode: str) -> str:
 
 
 def _rate(item: str, printed: float, here: list[float], why: str) -> Row:
-    return said(item, printed, here, min(here) >= printed, why, "fps")
+    return row(item, printed, here, "fps", why, min(here) >= printed)
 
 
 def _machine(peaks_mb: list[float], size: tuple[int, int]) -> Iterator[Item]:
     here = f"{platform.machine()}, {usable_cores()} cores"
-    yield Row(
+    yield row(
         "section 4, machine",
         "Intel Core Duo 2.80 GHz, 2 GB, GeForce 9600 GT",
-        here,
-        here,
+        (here, here),
+        "",
         "another machine, without a graphics processor",
     )
     printed, corrected = max(peaks_mb[::2]), max(peaks_mb[1::2])
-    why = "the process with all its libraries needs more than the authors' machine had"
-    holds = max(printed, corrected) <= PC_MB
-    words = [f"at most {mb:.0f} MB used" for mb in (printed, corrected)]
-    yield said("section 4, memory of the machine", "2 GB", words, holds, why)
+    yield row(
+        "section 4, memory of the machine",
+        "2 GB",
+        [f"at most {mb:.0f} MB used" for mb in (printed, corrected)],
+        "",
+        "the process with all its libraries needs more than the authors' machine had",
+        max(printed, corrected) <= PC_MB,
+    )
     used = f"{size[0]}*{size[1]}"
-    yield compared(
-        "section 4, resolution",
-        "1280*1024",
-        used,
-        used,
-        reason="the short form is smaller",
+    yield row(
+        "section 4, resolution", "1280*1024", (used, used), "", "the short form is smaller"
     )

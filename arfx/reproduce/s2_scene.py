@@ -5,108 +5,129 @@ tracer's own open lens, in which both balls are real."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from arfx.core.settings import converted
-from arfx.measure.steps import PreparedStages
 from arfx.papers import CORRECTED, PAPER
 from arfx.reproduce.work import Clip, Settings, Shot, Work
 from arfx.run.parameters import parameters, stage_of
-from arfx.synth.description import SceneFile, Sphere, parse_scene
+from arfx.synth.description import SceneFile, parse_scene
 
 FOCUS_M, APERTURE_M = 0.38, 0.014  # nearer than both balls
 MEAN_PX = 7  # the largest that Figure 8's block holds
-WALL_M = 0.7  # where the bright points are
-BLUE, BALL_M = (
-    (0.06, 0.12, 0.75),
-    0.035,
-)  # the virtual ball stands on the middle of the marker
-POINTS_M = (
-    (-0.3, 0.17),
-    (-0.22, 0.25),
-    (-0.12, 0.2),
-    (0.0, 0.26),
-    (0.09, 0.19),
-    (0.2, 0.25),
-    (0.3, 0.2),
-)  # x and height
+BALL_M = 0.035  # radius of the virtual ball, which stands on the middle of the marker
 
+# With bright points before the wall
 SCENE = """
 seed = 12
+samples = {samples}
 [clip]
-width = 400
-height = 320
-file = "clip.mkv"
+width = {width}
+height = {height}
+file = "{file}"
 [lens]
 fov_deg = 46
-[[shot]]
-frames = 1
+{lens}[[shot]]
+frames = {frames}
 [shot.path]
-kind = "static"
+{path}
 position_m = [0.07, -0.52, 0.2]
 target_m = [0, 0.05, 0.07]
 [[plane]]
 size_m = [1.6, 1.2]
 position_m = [0, 0.1, "-0.2mm"]
-texture = { kind = "wood", colour = [0.20, 0.11, 0.06], second = [0.60, 0.42, 0.26], feature_m = "2cm" }
+texture = {{ kind = "wood", colour = [0.20, 0.11, 0.06], second = [0.60, 0.42, 0.26], feature_m = "2cm" }}
 [[plane]]
 size_m = [4, 2]
 position_m = [0, 0.7, 0]
 rotate_deg = [90, 0, 0]
-texture = { kind = "noise", colour = [0.02, 0.02, 0.03], second = [0.05, 0.05, 0.06], feature_m = "4cm" }
+texture = {{ kind = "noise", colour = [0.02, 0.02, 0.03], second = [0.05, 0.05, 0.06], feature_m = "4cm" }}
 [[sphere]]
 radius_m = "4cm"
 position_m = [-0.13, 0.08, 0.04]
 colour = [0.75, 0.20, 0.04]
-[[box]]
+[[sphere]]
+radius_m = 0.006
+position_m = [-0.3, 0.7, 0.17]
+colour = [0.98, 0.98, 0.95]
+[[sphere]]
+radius_m = 0.006
+position_m = [-0.22, 0.7, 0.25]
+colour = [0.98, 0.98, 0.95]
+[[sphere]]
+radius_m = 0.006
+position_m = [-0.12, 0.7, 0.2]
+colour = [0.98, 0.98, 0.95]
+[[sphere]]
+radius_m = 0.006
+position_m = [0.0, 0.7, 0.26]
+colour = [0.98, 0.98, 0.95]
+[[sphere]]
+radius_m = 0.006
+position_m = [0.09, 0.7, 0.19]
+colour = [0.98, 0.98, 0.95]
+[[sphere]]
+radius_m = 0.006
+position_m = [0.2, 0.7, 0.25]
+colour = [0.98, 0.98, 0.95]
+[[sphere]]
+radius_m = 0.006
+position_m = [0.3, 0.7, 0.2]
+colour = [0.98, 0.98, 0.95]
+{ball}[[box]]
 size_m = ["7cm", "7cm", "12cm"]
 position_m = [0.15, 0.2, 0]
 rotate_deg = [0, 0, 25]
-texture = { kind = "checker", colour = [0.08, 0.25, 0.10], second = [0.7, 0.7, 0.6], feature_m = "2cm" }
+texture = {{ kind = "checker", colour = [0.08, 0.25, 0.10], second = [0.7, 0.7, 0.6], feature_m = "2cm" }}
 [[marker]]
 spec = "36h11:3:90mm"
 [light]
 ambient_rgb = [0.35, 0.36, 0.38]
-lamps = [{ azimuth_deg = -60, elevation_deg = 50, rgb = [0.6, 0.58, 0.54], angular_size_deg = 3 }]
+lamps = [{{ azimuth_deg = -60, elevation_deg = 50, rgb = [0.6, 0.58, 0.54], angular_size_deg = 3 }}]
 [noise]
 read = 0.0
 shot = 0.0
-[depth]
-file = "depth.mkv"
+{depth}
 [job]
 stages = ["lightmap", "dof"]
 [job.settings.light]
 given = [-60, 50]
 """
+STILL = {
+    "path": 'kind = "static"',
+    "frames": 1,
+    "file": "clip.mkv",
+    "depth": '[depth]\nfile = "depth.mkv"',
+}
+DOLLY = 'kind = "dolly"\nend_m = [0.02, -0.5, 0.21]'
+OPEN = f"aperture_m = {APERTURE_M}\nfocus_m = {FOCUS_M}\n"
+BALL = f"""[[sphere]]
+radius_m = {BALL_M}
+position_m = [0, 0, {BALL_M}]
+colour = [0.06, 0.12, 0.75]
+"""
+
+
+def scene_of(work: Work, full_px: tuple[int, int], samples: int, **parts: Any) -> SceneFile:
+    """parts : of SCENE;  full_px : its size, but in the short form"""
+    width, height = work.scaled(full_px, (240, 192))
+    given = {"lens": "", "ball": "", "width": width, "height": height, "samples": samples}
+    return parse_scene(SCENE.format(**given | parts))
 
 
 def desk(work: Work) -> SceneFile:
     """One frame, with its depth."""
-    read = parse_scene(SCENE)
-    points = [
-        Sphere(radius_m=0.006, position_m=(x, WALL_M, z), colour=(0.98, 0.98, 0.95))
-        for x, z in POINTS_M
-    ]
-    size = {"width": work.scaled(400, 240), "height": work.scaled(320, 192)}
-    more = {
-        "sphere": (*read.sphere, *points),
-        "clip": read.clip.model_copy(update=size),
-        "samples": work.scaled(3, 1),
-    }
-    return read.model_copy(update=more)
+    return scene_of(work, (400, 320), work.scaled(3, 1), **STILL)
 
 
-def photograph(work: Work, scene: SceneFile) -> np.ndarray:
+def photograph(work: Work) -> np.ndarray:
     """(h, w, 3) uint8 of what a camera with an open lens sees where the virtual ball is a
     real one.
     """
-    ball = Sphere(radius_m=BALL_M, position_m=(0.0, 0.0, BALL_M), colour=BLUE)
-    lens = scene.lens.model_copy(update={"aperture_m": APERTURE_M, "focus_m": FOCUS_M})
-    more = {"sphere": (*scene.sphere, ball), "lens": lens, "samples": work.scaled(8, 4)}
-    return work.clip(scene.model_copy(update=more)).frames()[0]
+    samples, parts = work.scaled(8, 4), {**STILL, "lens": OPEN, "ball": BALL}
+    return work.clip(scene_of(work, (400, 320), samples, **parts)).frames()[0]
 
 
 def desk_shot(work: Work, clip: Clip, model: Mapping[str, Any]) -> Shot:
@@ -124,13 +145,8 @@ def desk_shot(work: Work, clip: Clip, model: Mapping[str, Any]) -> Shot:
 
 def under(shot: Shot, formula: str, **dof: Any) -> Shot:
     """The same with depth of field under another formula, and with other settings of it."""
-    now, kind = shot.job.stages["dof"].params, parameters()["dof"][formula]
-    settings = converted(now, kind, **dof)
-    stages = {**shot.job.stages, "dof": stage_of("dof", settings)}
-    return replace(
-        shot,
-        renderer=replace(shot.renderer, prepared=PreparedStages(shot.job.scene, stages)),
-    )
+    now, kind = shot.stages["dof"].params, parameters()["dof"][formula]
+    return shot.with_stage(stage_of("dof", converted(now, kind, **dof)))
 
 
 def ball_model(work: Work) -> Mapping[str, Any]:
@@ -153,23 +169,8 @@ def moving_desk(work: Work) -> SceneFile:
     """The same filmed by a moving camera, at the paper's resolution, as coded video and
     without depth.
     """
-    read = parse_scene(SCENE)
-    size = {
-        "width": work.scaled(1280, 240),
-        "height": work.scaled(1024, 192),
-        "file": "clip.mp4",
-    }
-    path = read.shot[0].path.model_copy(
-        update={"kind": "dolly", "end_m": (0.02, -0.5, 0.21)}
-    )
-    shot = read.shot[0].model_copy(update={"frames": work.scaled(8, 4), "path": path})
-    more = {
-        "clip": read.clip.model_copy(update=size),
-        "shot": (shot,),
-        "samples": 1,
-        "depth": type(read.depth)(),
-    }
-    return read.model_copy(update=more)
+    moving = {"path": DOLLY, "frames": work.scaled(8, 4), "file": "clip.mp4", "depth": ""}
+    return scene_of(work, (1280, 1024), 1, **moving)
 
 
 def moving_settings(model: Mapping[str, Any], formula: str) -> Settings:

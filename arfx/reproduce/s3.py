@@ -14,20 +14,8 @@ from arfx.core.layers import Layer
 from arfx.papers import s3_watercolor as paper
 from arfx.reproduce import s3_measure as measure
 from arfx.reproduce import s3_scene as scene
-from arfx.reproduce.rows import (
-    BEFORE,
-    CORRECTED,
-    PRINTED,
-    Figure,
-    Item,
-    Row,
-    both,
-    compared,
-    curves,
-    said,
-    shown,
-)
-from arfx.reproduce.s3_scene import FLAT, OBJECTS, Shown, corrected, picture, printed
+from arfx.reproduce.rows import BEFORE, CORRECTED, PRINTED, Figure, Item, Row, curves, row
+from arfx.reproduce.s3_scene import FLAT, OBJECTS, Shown, corrected, printed
 from arfx.reproduce.work import Work, median_s
 from arfx.stages.watercolor.cells import mean_colours
 from arfx.stages.watercolor.labels import label
@@ -60,13 +48,16 @@ def rows(work: Work) -> Iterator[Item]:
 def frame_rows(frame: Shown) -> Iterator[Item]:
     seen = [name for name, where in frame.objects().items() if where.any()]
     item, words = "figure 3, AR frame", f"{', '.join(seen)}, from one model file"
-    yield shown(
-        item, "virtual objects in the camera's frame", words, words, seen == list(OBJECTS)
+    yield row(
+        item,
+        "virtual objects in the camera's frame",
+        (words, words),
+        "",
+        "",
+        seen == list(OBJECTS),
     )
     yield Figure(
-        item,
-        "what both methods are given",
-        {"camera": frame.real, BEFORE: picture(frame.image)},
+        item, "what both methods are given", {"camera": frame.real, BEFORE: frame.image}
     )
 
 
@@ -78,104 +69,106 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
     sites = paper.eq1_sites(rect, m, n, 1)
     ours = make_sites(still_field(rect.width, rect.height, cell_px, 64), 1, 10**6, cell_px)
     labels, own = paper.cones(sites, np.ones(m * n), rect, m, n), label(ours, rect).first
+    both = ((sites, labels), (ours, own))
 
     yield _not_stated(
         "m and n", "settings; 0 = cells of cell_px", "cell_px, for cells of any density"
     )
-    shares = (
-        measure.rectangles_with_site(sites, rect, m, n),
-        measure.rectangles_with_site(ours, rect, m, n),
-    )
-    why = (
+    yield row(
+        "equation (1), a site in each of m × n rectangles",
+        "1",
+        [measure.rectangles_with_site(s, rect, m, n) for s, _ in both],
+        "share of the rectangles",
         "corrected sites are those of a nested grid that moves with the things: as many,"
-        " one to a rectangle in the mean alone"
+        " one to a rectangle in the mean alone",
+        tolerance=1e-9,
     )
-    item = "equation (1), a site in each of m × n rectangles"
-    yield compared(item, "1", *shares, "share of the rectangles", why, tolerance=1e-9)
-    item = "equation (1), every site in its own cell"
-    shares = (measure.own_cell_share(sites), measure.own_cell_share(ours))
-    yield compared(item, "1", *shares, "share of sites", tolerance=1e-9)
-    away, far = (
-        measure.farthest(s, found) / np.hypot(w, h)
-        for s, found in ((sites, labels), (ours, own))
+    yield row(
+        "equation (1), every site in its own cell",
+        "1",
+        [measure.own_cell_share(s) for s, _ in both],
+        "share of sites",
+        tolerance=1e-9,
     )
-    item = "equation (1), farthest pixel from its site"
-    yield shown(
-        item, "at most 1", away, far, max(away, far) <= 1, unit="diagonal of a rectangle"
+    away = [measure.farthest(s, found) / np.hypot(w, h) for s, found in both]
+    yield row(
+        "equation (1), farthest pixel from its site",
+        "at most 1",
+        away,
+        "diagonal of a rectangle",
+        "",
+        max(away) <= 1,
     )
 
     item = "figure 2, Voronoi diagram"
-    yield compared(f"{item}, polygons", str(m * n), float(len(np.unique(labels))), None)
-    shares = measure.convex_share(labels), measure.convex_share(own)
-    yield compared(item, "1", *shares, "share of cells that are convex", tolerance=1e-9)
-    yield Figure(item, "each cell in a colour by chance", _templates(labels, own))
-    nearest = (
-        measure.nearest_share(sites, labels[:64, :96]),
-        measure.nearest_share(ours, own[:64, :96]),
+    yield row(f"{item}, polygons", str(m * n), len(np.unique(labels)))
+    yield row(
+        item,
+        "1",
+        [measure.convex_share(found) for _, found in both],
+        "share of cells that are convex",
+        tolerance=1e-9,
     )
-    yield compared(
+    yield Figure(item, "each cell in a colour by chance", _templates(labels, own))
+    yield row(
         "section 3.1.2, cones give Voronoi cells",
         "1",
-        *nearest,
+        [measure.nearest_share(s, found[:64, :96]) for s, found in both],
         "share of pixels with the nearest site",
         tolerance=1e-9,
     )
 
-    _, even = paper.named_by_colour(
-        np.full(frame.image.shape, 0.5, np.float32), labels, sites, rect
-    )
+    grey = np.full(frame.image.shape, 0.5, np.float32)
+    _, even = paper.named_by_colour(grey, labels, sites, rect)
     _, many = paper.named_by_colour(frame.image, labels, sites, rect)
-    why = (
-        f"equal colours collide: {m * n} cells have {many} names in the frame and {even} on"
-        " an even picture; corrected: integers"
-    )
     numbers = len(np.unique(ours.key)) / len(ours)
-    item = "section 3.1.2, a cell is known by the colour at its site"
-    yield shown(item, "unique", many / (m * n), numbers, False, why, "names per cell")
+    yield row(
+        "section 3.1.2, a cell is known by the colour at its site",
+        "unique",
+        (many / (m * n), numbers),
+        "names per cell",
+        f"equal colours collide: {m * n} cells have {many} names in the frame and {even} on"
+        " an even picture; corrected: integers",
+    )
 
     item, errors = "figure 4, cells in their mean colour", []
     for found, image in ((labels, frame.image), (own, frame.layers[Layer.IMAGE])):
         exact, area = measure.exact_means(image, found)
-        errors.append(
-            float(
-                255
-                * np.abs(mean_colours(image, [found], len(area))[0] - exact)[area > 0].max()
-            )
-        )
-    yield said(
+        mean = mean_colours(image, [found], len(area))[0]
+        errors.append(float(255 * np.abs(mean - exact)[area > 0].max()))
+    yield row(
         item,
         "the mean of the cell's pixels",
         errors,
+        "grey levels off it at most",
+        "",
         max(errors) < 0.01,
-        unit="grey levels off it at most",
     )
-    flat = (
-        frame.painted(printed(frame, toon=False, line_threshold=2.0)),
-        frame.painted(corrected(cell_px=scene.CELL_PX, toon=False, **FLAT)),
+    made = frame.painted(printed(frame, toon=False, line_threshold=2.0))
+    flat = frame.painted(corrected(cell_px=scene.CELL_PX, toon=False, **FLAT))
+    yield Figure(
+        item,
+        "cells alone, their size by depth",
+        {BEFORE: frame.image, PRINTED: made, CORRECTED: flat},
     )
-    shown_flat = {
-        BEFORE: picture(frame.image),
-        PRINTED: picture(flat[0]),
-        CORRECTED: picture(flat[1]),
-    }
-    yield Figure(item, "cells alone, their size by depth", shown_flat)
 
 
 def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
     """3.1.2: the depth buffer decides the cones' size."""
     depth, by_cones, by_density = measure.areas_on_plane(8, work.scaled(10, 2))
     area, covered, equal = measure.small_thing(work.scaled(40, 10))
-    why = (
+    item = "section 3.1.2, nearer is finer"
+    yield row(
+        item,
+        "nearer is finer",
+        [areas[-1] / areas[0] for areas in (by_cones, by_density)],
+        f"area of a cell of a plane at {depth[-1]:.2f} m / at {depth[0]:.2f} m",
         "m × n sites are spread evenly, and the size of cones moves the borders between"
         " near and far alone: a disc five cells wide, at .25 m before a wall at 2 m, has"
         f" cells of {area:.2f} of the wall's area, and the wall's cells cover {covered:.0%}"
         f" of it ({equal:.0%} with equal cones). Corrected: the density of the sites"
-        " follows the depth"
+        " follows the depth",
     )
-    item = "section 3.1.2, nearer is finer"
-    unit = f"area of a cell of a plane at {depth[-1]:.2f} m / at {depth[0]:.2f} m"
-    ratios = float(by_cones[-1] / by_cones[0]), float(by_density[-1] / by_density[0])
-    yield said(item, "nearer is finer", ratios, False, why, unit)
     yield curves(
         item,
         "cells on a plane",
@@ -184,24 +177,19 @@ def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
         {PRINTED: by_cones, CORRECTED: by_density},
     )
     buffer, labels = measure.printed_cells(frame)
-    share = measure.convex_share(labels)
-    why = (
-        "borders between cones of two sizes are arcs; corrected cells are power cells,"
-        " which are polygons"
-    )
     own = measure.corrected_cells(frame)
+    shares = [measure.convex_share(found) for found in (labels, own)]
     item = "section 3.1.2, polygons with cones of many sizes"
-    yield shown(
+    yield row(
         item,
         "convex",
-        share,
-        measure.convex_share(own),
-        False,
-        why,
+        shares,
         "share of cells that are convex",
+        "borders between cones of two sizes are arcs; corrected cells are power cells,"
+        " which are polygons",
     )
     yield Figure(
-        item, "cells by depth", {"depth buffer": picture(buffer), **_templates(labels, own)}
+        item, "cells by depth", {"depth buffer": buffer, **_templates(labels, own)}
     )
     yield _not_stated(
         "size of a cone by the depth buffer",
@@ -220,54 +208,44 @@ def toon_rows(frame: Shown) -> Iterator[Item]:
     one = np.ones((1, n, 3), np.float32)
     hard = paper.toon(one, normal, up, p.toon_thresholds, p.toon_factors)[0, :, 0]
     soft = tones(cosine, c.toon_thresholds, c.toon_factors)
-    (low, high), (low_soft, high_soft) = (
-        _thresholds(hard, cosine),
-        _thresholds(soft, cosine),
-    )
+    low, high = zip(*(_thresholds(kind, cosine) for kind in (hard, soft)), strict=True)
     yield _not_stated(
         "toon listing, first threshold",
-        high,
-        high_soft,
+        high[0],
+        high[1],
         "the line with the first `if` is missing",
     )
-    yield compared("toon listing, second threshold", "0.2", low, low_soft, "n · l")
+    yield row("toon listing, second threshold", "0.2", low, "n · l")
     for name, text, at in (
         ("first", "1", 1.0),
         ("second", "0.4", 0.35),
         ("third", "0.1", -0.5),
     ):
         k = int(np.searchsorted(cosine, at - 1e-9))
-        yield compared(
+        yield row(
             f"toon listing, {name} tone",
             text,
-            float(hard[k]),
-            float(soft[k]),
+            [kind[k] for kind in (hard, soft)],
             "of the colour",
             tolerance=1e-4,
         )
-    why = f"corrected, a step is a ramp of {RAMP:g} in n · l, so that it does not crawl"
-    counts = [float(len(np.unique(tones.round(4)))) for tones in (hard, soft)]
-    yield compared("toon listing, discrete intensities", "3", *both(counts), "tones", why)
-
-    where, shares = np.any(list(frame.objects().values()), axis=0), []
-    for stage in (printed(frame), corrected()):
-        pair = (
-            measure.printed_edges(frame.image, p)[where].mean(),
-            measure.printed_edges(frame.toon_shaded(stage), p)[where].mean(),
-        )
-        shares.append((float(pair[0]), float(pair[1])))
-    words = [
-        f"{toon:.1%} of the objects' pixels; {smooth:.1%} shaded smoothly"
-        for smooth, toon in shares
-    ]
-    item, why = "section 3.2, toon in place of Gouraud shading", "a soft step is no edge"
-    yield said(
-        item,
-        "edges that stand out more",
-        words,
-        all(b > a for a, b in shares),
-        why,
+    counts = [len(np.unique(tones.round(4))) for tones in (hard, soft)]
+    yield row(
+        "toon listing, discrete intensities",
+        "3",
+        counts,
+        "tones",
+        f"corrected, a step is a ramp of {RAMP:g} in n · l, so that it does not crawl",
     )
+
+    where, words, more = np.any(list(frame.objects().values()), axis=0), [], []
+    smooth = float(measure.printed_edges(frame.image, p)[where].mean())
+    for stage in (printed(frame), corrected()):
+        toon = float(measure.printed_edges(frame.toon_shaded(stage), p)[where].mean())
+        words.append(f"{toon:.1%} of the objects' pixels; {smooth:.1%} shaded smoothly")
+        more.append(toon > smooth)
+    item, why = "section 3.2, toon in place of Gouraud shading", "a soft step is no edge"
+    yield row(item, "edges that stand out more", words, "", why, all(more))
 
 
 def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
@@ -276,9 +254,12 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
         (("equation (2)", 1.0), ("equation (3)", 0.0), ("equation (4), left side", 0.5))
     ):
         for step, (left, right, *values) in STEP_VALUES.items():
-            made = measure.edge_of(left, right, beta)
-            yield compared(
-                f"{equation}, {step}", values[k], *made, "α = β = .5", tolerance=2e-4
+            yield row(
+                f"{equation}, {step}",
+                values[k],
+                measure.edge_of(left, right, beta),
+                "α = β = .5",
+                tolerance=2e-4,
             )
     p, c = printed(frame).params, corrected().params
     yield _not_stated("matrix from RGB to YUV", p.yuv, "bt601")
@@ -287,29 +268,23 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
     yield _not_stated(
         "equation (4), threshold", p.line_threshold, f"{c.line_low:g} to {c.line_high:g}"
     )
-    why = (
-        "near a hard threshold noise decides; corrected lines come from a smoothed picture,"
-        " with hysteresis and a ramp"
-    )
-    item = "equation (4), pixels of an edge that flip"
-    flips = measure.flips(work.scaled(12, 4))
-    yield said(
-        item,
+    yield row(
+        "equation (4), pixels of an edge that flip",
         "an edge, or none",
-        flips,
-        False,
-        why,
+        measure.flips(work.scaled(12, 4)),
         "share from frame to frame, noise 2/255, at the worst contrast",
+        "near a hard threshold noise decides; corrected lines come from a smoothed picture,"
+        " with hysteresis and a ramp",
     )
 
     item, toon_shaded = "figure 5, edges of the frame", frame.toon_shaded(printed(frame))
     edges, lines = measure.printed_edges(toon_shaded, p), measure.corrected_lines(frame)
-    why = (
-        "what stands before nearly its own colour is below the threshold; corrected, the"
-        " object's layers are looked at too"
-    )
     outlines = {
-        f"outline of the {name}": (measure.outline(where), why)
+        f"outline of the {name}": (
+            measure.outline(where),
+            "what stands before nearly its own colour is below the threshold; corrected, the"
+            " object's layers are looked at too",
+        )
         for name, where in frame.objects().items()
     }
     why = (
@@ -318,33 +293,26 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
     )
     outlines["outlines of real things"] = frame.real_outlines(), why
     for name, (where, why) in outlines.items():
-        found = measure.share_near(where, edges), measure.share_near(where, lines > DRAWN)
-        yield said(
+        found = [measure.share_near(where, seen) for seen in (edges, lines > DRAWN)]
+        yield row(
             f"{item}, {name}",
             "found",
             found,
-            min(found) > 0.95,
-            why,
             "share of it with an edge within 2 px",
+            why,
+            min(found) > 0.95,
         )
-    black = float(edges.mean()), float((lines > DRAWN).mean())
-    yield said(
-        item,
-        "outlines of virtual and real things",
-        black,
-        min(black) > 0,
-        unit="share of the frame's pixels",
-    )
-    true = np.any([where for where, _ in outlines.values()], axis=0)
+    black = [seen.mean() for seen in (edges, lines > DRAWN)]
+    words, unit = "outlines of virtual and real things", "share of the frame's pixels"
+    yield row(item, words, black, unit, "", min(black) > 0)
     drawn = {
         BEFORE: toon_shaded,
         PRINTED: 1.0 - edges,
         CORRECTED: 1 - lines,
-        "outlines by depth": 1.0 - true,
+        "outlines by depth": 1.0
+        - np.any([where for where, _ in outlines.values()], axis=0),
     }
-    yield Figure(
-        item, "of the toon-shaded frame", {name: picture(a) for name, a in drawn.items()}
-    )
+    yield Figure(item, "of the toon-shaded frame", drawn)
 
 
 def picture_rows(frame: Shown) -> Iterator[Item]:
@@ -360,96 +328,82 @@ def picture_rows(frame: Shown) -> Iterator[Item]:
     edges = measure.printed_edges(coded, stage.params)
     done, made = np.where(edges[..., None], 0, cells), frame.painted(stage)
     item = "figure 6, from the frame to the picture"
-    apart = float(255 * np.abs(done - made).max())
-    yield said(
-        item,
-        "cells, with the edges over them",
-        apart,
-        apart < 0.5,
-        unit="grey levels from these steps",
-    )
-    steps = {"frame": coded, "cells": cells, "edges": 1.0 - edges, "cells and edges": done}
-    yield Figure(item, "the printed steps", {name: picture(a) for name, a in steps.items()})
-
-    ours = frame.painted(corrected())
-    change = [float(255 * np.abs(a - frame.image).mean()) for a in (made, ours)]
-    item = "figure 7, watercolour of the frame"
-    why = (
-        "the paper has no measure of how well real and virtual agree; the values are how"
-        " much the frame has changed in the mean"
-    )
-    yield Row(item, "real and virtual agree", *both(change), why, "grey levels")
+    apart = 255 * np.abs(done - made).max()
+    words, unit = "cells, with the edges over them", "grey levels from these steps"
+    yield row(item, words, apart, unit, "", apart < 0.5)
     yield Figure(
         item,
-        "the result",
-        {BEFORE: picture(frame.image), PRINTED: picture(made), CORRECTED: picture(ours)},
+        "the printed steps",
+        {"frame": coded, "cells": cells, "edges": 1.0 - edges, "cells and edges": done},
     )
+
+    ours = frame.painted(corrected())
+    change = [255 * np.abs(a - frame.image).mean() for a in (made, ours)]
+    item = "figure 7, watercolour of the frame"
+    yield row(
+        item,
+        "real and virtual agree",
+        change,
+        "grey levels",
+        "the paper has no measure of how well real and virtual agree; the values are how"
+        " much the frame has changed in the mean",
+    )
+    yield Figure(item, "the result", {BEFORE: frame.image, PRINTED: made, CORRECTED: ours})
 
 
 def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
     """What sections 2 and 4 say of time."""
-    frames, lineless = work.scaled(5, 3), {"toon": False, "line_threshold": 2.0}
-    flat, rest = (
-        {"toon": False, **FLAT},
-        {"grain": 0.0},
-    )  # the paper's grain rests on the screen
-    at_rest = (
-        "new random numbers in every frame; corrected sites are a hash of (seed, cell)"
+    frames = work.scaled(5, 3)
+    # the paper's grain rests on the screen
+    cases: tuple[tuple[str, measure.Settings, measure.Settings], ...] = (
+        ("cells", {"toon": False, "line_threshold": 2.0}, {"toon": False, **FLAT}),
+        ("whole picture", {}, {"grain": 0.0}),
     )
-    in_pan = (
-        "even fixed on the screen, cells let the picture swim; corrected ones move with the"
-        " things"
-    )
-    for name, of_printed, of_corrected in (
-        ("cells", lineless, flat),
-        ("whole picture", {}, rest),
-    ):
-        made, ours = measure.still_frames(frame, frames, of_printed, of_corrected)
-        item = f"section 2, coherence at rest, {name}"
-        errors = (measure.mean_squared(made), measure.mean_squared(ours))
-        yield said(
+    for name, *settings in cases:
+        still = measure.still_frames(frame, frames, *settings)
+        item, unit = (
+            f"section 2, coherence at rest, {name}",
+            "squared error {}, noise 2/255",
+        )
+        yield row(
             item,
             "good",
-            errors,
-            False,
-            at_rest,
-            "squared error between frames, noise 2/255",
+            [measure.mean_squared(made) for made in still],
+            unit.format("between frames"),
+            "new random numbers in every frame; corrected sites are a hash of (seed, cell)",
         )
         change = {
-            PRINTED: 8 * abs(made[1] - made[0]),
-            CORRECTED: 8 * abs(ours[1] - ours[0]),
+            f"change, {kind}": 8 * abs(made[1] - made[0])
+            for kind, made in zip((PRINTED, CORRECTED), still, strict=True)
         }
-        yield Figure(
-            item,
-            "change from a frame to the next, × 8",
-            {f"change, {k}": picture(a) for k, a in change.items()},
-        )
-        errors = measure.pan_errors(frame.scene, frames, of_printed, of_corrected)
-        item = f"section 2, coherence in a pan, {name}"
-        yield said(
-            item,
+        yield Figure(item, "change from a frame to the next, × 8", change)
+        yield row(
+            f"section 2, coherence in a pan, {name}",
             "good",
-            errors,
-            False,
-            in_pan,
-            "squared error along the motion, noise 2/255",
+            measure.pan_errors(frame.scene, frames, *settings),
+            unit.format("along the motion"),
+            "even fixed on the screen, cells let the picture swim; corrected ones move with the"
+            " things",
         )
     rates = [
         1 / median_s(partial(frame.paint_anew, frame.ready(stage)), work.scaled(5, 1))
         for stage in (printed(frame), corrected())
     ]
     rect = frame.layers.rect
-    why = (
+    yield row(
+        "section 2, speed",
+        "real time",
+        rates,
+        "frames/s",
         "no rate, size or machine is printed; the values are of the stage alone, at"
-        f" {rect.width} × {rect.height} on a processor"
+        f" {rect.width} × {rect.height} on a processor",
     )
-    yield Row("section 2, speed", "real time", *both(rates), why, "frames/s")
 
 
 def _not_stated(
     item: str, here: float | str, ours: float | str, why: str = "the paper does not say"
 ) -> Row:
-    return Row(item, "not stated", here, ours, f"{why}: it is a setting")
+    return row(item, "not stated", (here, ours), "", f"{why}: it is a setting")
 
 
 def _templates(labels: np.ndarray, own: np.ndarray) -> dict[str, np.ndarray]:

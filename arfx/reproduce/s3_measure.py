@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -64,43 +65,35 @@ def corrected_lines(shown: Shown) -> np.ndarray:
     return stage.lines_of(view, stage.with_toon(view))
 
 
-def flips(frames: int) -> tuple[float, float]:
+def flips(frames: int) -> list[float]:
     """Share of the pixels along a grey step, in noise of 2/255, that get or lose more than
     half of their ink from frame to frame: as printed, corrected; each at the contrast at
     which most do."""
-    p, c, worst = PrintedWatercolorParams(), corrected().params, [0.0, 0.0]
+    p, c, found = PrintedWatercolorParams(), corrected().params, []
     for contrast in np.linspace(0.03, 0.25, 45):
         g, base = np.random.default_rng(1), np.full((240, 64, 3), 0.4)
         base[:, 32:] += contrast
-        ink: tuple[list[np.ndarray], list[np.ndarray]] = [], []
+        ink = []
         for _ in range(frames):
             coded = (base + g.normal(0, NOISE, base.shape)).astype(np.float32)
-            ink[0].append(printed_edges(coded, p)[:, 31].astype(float))
             edges = measure_edges(packed(coded**2))
             lines = trace_lines(edges, c.line_low, c.line_high, c.line_width_px)
-            ink[1].append(lines[:, 12:20].max(1))
-        for k, seen in enumerate(ink):
-            worst[k] = max(
-                worst[k],
-                float(
-                    np.mean(
-                        [np.mean(abs(a - b) > 0.5) for a, b in itertools.pairwise(seen)]
-                    )
-                ),
-            )
-    return worst[0], worst[1]
+            ink.append((printed_edges(coded, p)[:, 31], lines[:, 12:20].max(1)))
+        seen = (np.array(kind, float) for kind in zip(*ink, strict=True))
+        found.append([np.mean(np.abs(np.diff(kind, axis=0)) > 0.5) for kind in seen])
+    return np.max(found, axis=0).tolist()
 
 
 def still_frames(
     shown: Shown, frames: int, of_printed: Settings, of_corrected: Settings
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
+) -> list[list[np.ndarray]]:
     """(h, w, 3) coded frames of a resting, noisy camera, printed and corrected."""
     moments = [shown.noisy(100 + k, NOISE) for k in range(frames)]
     out = []
     for stage in (printed(shown, **of_printed), corrected(**of_corrected)):
         ready = shown.ready(stage)
         out.append([moment.painted(stage, ready) for moment in moments])
-    return out[0], out[1]
+    return out
 
 
 def mean_squared(frames: Sequence[np.ndarray]) -> float:
@@ -110,7 +103,7 @@ def mean_squared(frames: Sequence[np.ndarray]) -> float:
 
 def pan_errors(
     scene: Scene, frames: int, of_printed: Settings, of_corrected: Settings
-) -> tuple[float, float]:
+) -> list[float]:
     """The same in a pan over things of all sizes, along the true motion: printed with cells
     fixed on the screen (that is, of one frame's random numbers), corrected with cells that
     move with the things."""
@@ -134,17 +127,14 @@ def pan_errors(
             places = pack_positions(nodes.u + step_px * k, nodes.v)
             shape = nodes.u.shape[0], nodes.u.shape[1]
             field = AdvectionField(0, GRID_PX, (nodes.x0, nodes.y0), shape, places)
-            out.append(
-                _painted(
-                    ready, np.clip(coded, 0, 1) ** 2, FrameFacts(0, 0.0, advection=field)
-                )
-            )
+            facts = FrameFacts(0, 0.0, advection=field)
+            out.append(_painted(ready, np.clip(coded, 0, 1) ** 2, facts))
         pairs = [
             (a[16:-16, 16 + step_px : -16], b[16:-16, 16 : -16 - step_px])
             for a, b in itertools.pairwise(out)
         ]
         errors.append(float(np.mean([np.mean((a - b) ** 2) for a, b in pairs])))
-    return errors[0], errors[1]
+    return errors
 
 
 def _painted(ready: ReadyStage, linear: np.ndarray, facts: FrameFacts) -> np.ndarray:
@@ -172,33 +162,22 @@ def areas_on_plane(bands: int, repeats: int) -> tuple[np.ndarray, np.ndarray, np
     edges = np.linspace(border, height - border, bands + 1)
     for key in range(repeats):
         sites = paper.eq1_sites(_SIZE, height // CELL_PX, width // CELL_PX, key)
-        found = paper.cones(
-            sites,
-            paper.at_sites(depth, sites, _SIZE),
-            _SIZE,
-            height // CELL_PX,
-            width // CELL_PX,
-        )
+        size = paper.at_sites(depth, sites, _SIZE)
+        found = paper.cones(sites, size, _SIZE, height // CELL_PX, width // CELL_PX)
         other = make_sites(field, key, 10**6, CELL_PX)
-        for k, (at, labels) in enumerate(
-            ((sites, found), (other, label(other, _SIZE).first))
-        ):
+        by_formula = ((sites, found), (other, label(other, _SIZE).first))
+        for k, (at, labels) in enumerate(by_formula):
             area = np.bincount(labels.ravel(), minlength=len(at))
             x, band = at.x / STEPS, np.digitize(at.y / STEPS, edges) - 1
-            counted = (
-                (area > 0)
-                & (x > border)
-                & (x < width - border)
-                & (band >= 0)
-                & (band < bands)
-            )
+            counted = (area > 0) & (x > border) & (x < width - border)
+            counted &= (band >= 0) & (band < bands)
             areas[k, :, 0] += np.bincount(band[counted], area[counted], bands)
             areas[k, :, 1] += np.bincount(band[counted], minlength=bands)
     middle = 1 / np.interp((edges[1:] + edges[:-1]) / 2, np.arange(height), dioptre)
     return middle, *(areas[..., 0] / areas[..., 1])
 
 
-def small_thing(repeats: int) -> tuple[float, float, float]:
+def small_thing(repeats: int) -> list[float]:
     """A disc five cells wide at .25 m before a wall at 2 m: area of its cells over that of
     the wall's; share of it that the wall's cells cover, with cones by depth and with equal
     ones."""
@@ -207,41 +186,32 @@ def small_thing(repeats: int) -> tuple[float, float, float]:
     m, n = _SIZE.height // CELL_PX, _SIZE.width // CELL_PX
     near_m = PrintedWatercolorParams().near_m
     depth = np.where(disc, 1 - near_m / 0.25, 1 - near_m / 2)
-    areas, lost = [], np.zeros((repeats, 2))
+    found = []
     for key in range(repeats):
         sites = paper.eq1_sites(_SIZE, m, n, key)
         own = paper.at_sites(disc, sites, _SIZE)
-        for k, buffer in enumerate((depth, np.ones_like(depth))):
-            found = paper.cones(sites, paper.at_sites(buffer, sites, _SIZE), _SIZE, m, n)
-            lost[key, k] = np.mean(~own[found][disc])
-            if k == 0:
-                area = np.bincount(found.ravel(), minlength=m * n)
-                areas.append(area[own].mean() / area[~own].mean())
-    return float(np.mean(areas)), float(lost[:, 0].mean()), float(lost[:, 1].mean())
+        by_depth, equal = (
+            paper.cones(sites, paper.at_sites(buffer, sites, _SIZE), _SIZE, m, n)
+            for buffer in (depth, np.ones_like(depth))
+        )
+        area = np.bincount(by_depth.ravel(), minlength=m * n)
+        lost = (np.mean(~own[labels][disc]) for labels in (by_depth, equal))
+        found.append((area[own].mean() / area[~own].mean(), *lost))
+    return np.mean(found, axis=0).tolist()
 
 
 def convex_share(labels: np.ndarray) -> float:
     """Of the cells, those that hold every pixel whose centre lies in the hull of their
     pixels' centres.
     """
-    from scipy.spatial import ConvexHull, QhullError
+    from skimage.measure import regionprops
+    from skimage.morphology import convex_hull_image
 
-    h, w = labels.shape
-    y, x = np.mgrid[:h, :w]
-    order = np.argsort(labels, axis=None)
-    cells = np.split(order, np.flatnonzero(np.diff(labels.ravel()[order])) + 1)
     convex = []
-    for cell in cells:
-        points = np.stack([x.ravel()[cell], y.ravel()[cell]], -1)
-        try:
-            hull = ConvexHull(points)
-        except QhullError:  # in one line
-            convex.append(True)
-            continue
-        (x0, y0), (x1, y1) = points.min(0), points.max(0) + 1
-        box = np.stack([x[y0:y1, x0:x1].ravel(), y[y0:y1, x0:x1].ravel()], -1)
-        inside = (box @ hull.equations[:, :2].T + hull.equations[:, 2] < 1e-9).all(-1)
-        convex.append(int(inside.sum()) == len(points))
+    with warnings.catch_warnings(action="ignore"):  # of cells in one line, which are convex
+        for cell in regionprops(labels + 1):
+            hull = convex_hull_image(cell.image, offset_coordinates=False)
+            convex.append(hull.sum() <= cell.area)
     return float(np.mean(convex))
 
 
@@ -286,17 +256,14 @@ def rectangles_with_site(sites: Sites, rect: Rect, m: int, n: int) -> float:
     """Of m x n rectangles, those in which a site lies, to the half step that sites are
     rounded by.
     """
-    held = np.zeros((m, n), bool)
+    held = np.zeros((m + 2, n + 2), bool)  # and what lies beside them
     for dx, dy in itertools.product((-0.5, 0.5), repeat=2):
-        j = np.floor(((sites.x + dx) / STEPS - rect.x0 + 0.5) * (n / rect.width)).astype(
-            int
-        )
-        i = np.floor(((sites.y + dy) / STEPS - rect.y0 + 0.5) * (m / rect.height)).astype(
-            int
-        )
-        inside = (i >= 0) & (j >= 0) & (i < m) & (j < n)
-        held[i[inside], j[inside]] = True
-    return float(held.mean())
+        x = (sites.x + dx) / STEPS - rect.x0 + 0.5
+        y = (sites.y + dy) / STEPS - rect.y0 + 0.5
+        j = np.clip(np.floor(x * (n / rect.width)).astype(int) + 1, 0, n + 1)
+        i = np.clip(np.floor(y * (m / rect.height)).astype(int) + 1, 0, m + 1)
+        held[i, j] = True
+    return float(held[1:-1, 1:-1].mean())
 
 
 def own_cell_share(sites: Sites) -> float:
@@ -314,10 +281,8 @@ def farthest(sites: Sites, labels: np.ndarray) -> float:
 
 def exact_means(image: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """((n, 3) float64 mean of each cell, (n,) its pixels)."""
-    area = np.bincount(labels.ravel())
-    total = [
-        np.bincount(labels.ravel(), image[..., c].ravel().astype(float)) for c in range(3)
-    ]
+    area, flat = np.bincount(labels.ravel()), image.reshape(-1, 3).T.astype(float)
+    total = [np.bincount(labels.ravel(), channel) for channel in flat]
     return np.stack(total, -1) / np.maximum(area, 1)[:, None], area
 
 

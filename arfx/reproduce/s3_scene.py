@@ -130,23 +130,11 @@ class Shown:
 
     def objects(self) -> dict[str, np.ndarray]:
         """(h, w) bool of the pixels of each object: the model's parts from left to right."""
-        middle = [float(p.vertices[:, 0].mean()) for p in self.scene.model.parts]
-        low, high = min(middle), max(middle)
-        names = [
-            "",
-            *(
-                (
-                    "teapot"
-                    if (x - low) / (high - low) < 0.5
-                    else "cube"
-                    if x < high
-                    else "rabbit"
-                )
-                for x in middle
-            ),
-        ]
-        number = np.array(names)[self.layers[Layer.OBJECT_ID]]
-        return {name: number == name for name in OBJECTS}
+        middle = np.array([p.vertices[:, 0].mean() for p in self.scene.model.parts])
+        place = (middle - middle.min()) / np.ptp(middle)  # teapot, then cube, then rabbit
+        kind = np.append(-1, (place >= 0.5).astype(int) + (place >= 1))
+        number = kind[self.layers[Layer.OBJECT_ID]]
+        return {name: number == k for k, name in enumerate(OBJECTS)}
 
     def real_outlines(self) -> np.ndarray:
         """(h, w) bool: pixels that are nearer by a tenth than one beside them, of the real
@@ -166,7 +154,7 @@ def shown(work: Work) -> Shown:
     clip = work.clip(SCENE.format(width=width, height=height))
     shot = work.shot(clip, settings={"model": {"file": work.model("group"), "fit": "26cm"}})
     layers = shot.renderer.after(shot.up_to("watercolor")[:-1]).view(shot.renderer.window)
-    return Shown(layers, shot.renderer.facts, shot.job.scene, shot.renderer.original())
+    return Shown(layers, shot.facts, shot.job.scene, shot.renderer.original())
 
 
 def cells_of(shown: Shown) -> tuple[int, int]:
@@ -200,9 +188,3 @@ FLAT = {  # cells alone
     ),
     "saturation": 1.0,
 }
-
-
-def picture(coded: np.ndarray) -> np.ndarray:
-    """(h, w, 3) uint8 of coded values, of one channel or three."""
-    out = np.round(255 * np.clip(coded, 0, 1)).astype(np.uint8)
-    return out if out.ndim == 3 else np.repeat(out[..., None], 3, axis=2)

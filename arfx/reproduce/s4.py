@@ -17,7 +17,7 @@ from arfx.core.colour import SRGB
 from arfx.core.cube import CubeMap, look_up
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.papers.s4_environment import FACE_PX, mip_level, step3_environment, step3_mipmap
-from arfx.reproduce.rows import BEFORE, CORRECTED, PRINTED, Figure, Item, Row, said
+from arfx.reproduce.rows import BEFORE, CORRECTED, PRINTED, Figure, Item, Row, row
 from arfx.reproduce.s4_cones import cones
 from arfx.reproduce.s4_pictures import on_the_plane, pictures
 from arfx.reproduce.s4_scenes import LAMP, room, settings
@@ -60,47 +60,47 @@ def plane() -> Iterator[Row]:
     cloud = cloud_of(depth, camera)
     assert cloud is not None
     table, up = find_planes(cloud)[0], pose.rotation[:, 2]
-    angle = float(np.degrees(np.arccos(min(float(table.normal @ up), 1.0))))
+    angle = np.degrees(np.arccos(min(float(table.normal @ up), 1.0)))
     lower = float(np.abs(table.offset_m - up @ pose.translation_m)) * 1e3
     off = "the plane that was found is not the table"
-    yield said(
+    yield row(
         "step 1, the likeliest plane: its normal",
         "normals of points, checked against k neighbours",
         (angle, angle),
-        angle < 0.5,
-        off,
         "degrees off",
+        off,
+        angle < 0.5,
     )
-    yield said(
+    yield row(
         "step 1, the likeliest plane: its height",
         "the likeliest plane",
         (lower, lower),
-        lower < 3,
-        off,
         "mm off",
+        off,
+        lower < 3,
     )
     away = cloud.points[table.inliers] @ table.normal - table.offset_m
     after = (
         cloud.points[table.inliers] - np.outer(away, table.normal)
     ) @ table.normal - table.offset_m
     moved, before = (float(np.abs(d).max()) * 1e3 for d in (after, away))
-    yield said(
+    yield row(
         "step 1, points moved onto the plane and joined to a mesh",
         "moved towards the plane",
         (moved, moved),
-        moved < 1e-6 < before,
-        "points stayed off the plane",
         f"mm off it at most; {before:.3g} before",
+        "points stayed off the plane",
+        moved < 1e-6 < before,
     )
     found = scene_planes([(depth, pose)], camera)[0].real_plane()
     centre = float(np.linalg.norm(found.world_from_plane.translation_m[:2])) * 1e2
-    yield said(
+    yield row(
         "step 1, where the object stands",
         "in the middle of the plane",
         (centre, centre),
-        centre < 8,
-        "the middle of what is seen, moved to where it is well inside",
         "cm from the table's middle",
+        "the middle of what is seen, moved to where it is well inside",
+        centre < 8,
     )
 
 
@@ -141,10 +141,6 @@ def environment() -> Iterator[Row]:
     colours = np.random.default_rng(3).uniform(0.1, 0.9, (3, 3, 3))
     image = np.kron(colours, np.ones((40, 60, 1)))
     printed, corrected = step3_environment(image, SIDE), cube_from_picture(image, SIDE)
-    why = (
-        "the angle from the line of sight is the distance from the picture's middle, so"
-        " that no edge of the cube shows as a seam"
-    )
     faces = (
         ("(31), right of the picture on +x", 0, (1, 2)),
         ("(31), left of the picture on -x", 1, (1, 0)),
@@ -154,14 +150,15 @@ def environment() -> Iterator[Row]:
         ("(34), middle of the picture, mirrored, on +z", 5, (1, 1)),
     )
     for words, face, part in faces:
-        off = [float(np.abs(f[face] - colours[part]).max()) for f in (printed, corrected)]
-        yield said(
+        off = [np.abs(f[face] - colours[part]).max() for f in (printed, corrected)]
+        yield row(
             f"step 3 {words}",
             "that part of the picture",
             off,
-            max(off) < 1e-6,
-            why,
             "at most off, of 1",
+            "the angle from the line of sight is the distance from the picture's middle, so"
+            " that no edge of the cube shows as a seam",
+            max(off) < 1e-6,
         )
     mipmap = step3_mipmap(step3_environment(image, FACE_PX))
     kept = CubeMap.of(corrected).faces()
@@ -169,54 +166,57 @@ def environment() -> Iterator[Row]:
         f"{a.shape[-1]} x {a.dtype.itemsize * 8} bit {a.dtype.kind}"
         for a in (mipmap[0], kept)
     ]
-    yield said(
+    yield row(
         "step 3, format of the cube",
         "RGBA16",
         formats,
-        formats[0] == "4 x 16 bit u" == formats[1],
+        "",
         "alpha is always 1; floating point holds what is brighter than white",
+        formats[0] == "4 x 16 bit u" == formats[1],
     )
     flat = [
-        float(np.ptp(f(np.full((90, 120, 3), 0.4), SIDE)))
+        np.ptp(f(np.full((90, 120, 3), 0.4), SIDE))
         for f in (step3_environment, cube_from_picture)
     ]
-    item = "step 3, environment of a constant picture"
-    yield said(
-        item,
+    yield row(
+        "step 3, environment of a constant picture",
         "constant, as follows",
         flat,
-        max(flat) < 1e-6,
-        "it is not",
         "largest difference",
+        "it is not",
+        max(flat) < 1e-6,
     )
     y, x = np.mgrid[0:180, 0:240] / 40
     smooth = np.stack(
         [np.sin(x + y) / 3 + 0.5, np.cos(y) / 3 + 0.5, np.sin(x) / 3 + 0.5], -1
     )
-    seam = [
-        float(seam_ratio(f(smooth, SIDE))) for f in (step3_environment, cube_from_picture)
-    ]
-    yield said(
+    seam = [seam_ratio(f(smooth, SIDE)) for f in (step3_environment, cube_from_picture)]
+    yield row(
         "step 3, seams of the environment",
         "acceptable for the whole surroundings",
         seam,
-        max(seam) < 1.5,
+        "steps across edges of the cube / within faces",
         "sides that were cut out of the picture do not meet the mirrored back; the"
         " corrected fold is continuous",
-        "steps across edges of the cube / within faces",
+        max(seam) < 1.5,
     )
-    item = f"step 3, levels of the mip chain of {FACE_PX}² texels a face"
-    yield said(item, "several", float(len(mipmap)), len(mipmap) == 8, "some are missing")
+    yield row(
+        f"step 3, levels of the mip chain of {FACE_PX}² texels a face",
+        "several",
+        len(mipmap),
+        "",
+        "some are missing",
+        len(mipmap) == 8,
+    )
     for half_deg in (1, 5, 15, 30):
         level = mip_level(half_deg, FACE_PX)
         texel = 4**level * 4 * np.pi / (6 * FACE_PX**2)
         cone = 2 * np.pi * (1 - np.cos(np.radians(half_deg)))
-        item = f"step 4, mip level of a cone of half-angle {half_deg}° at {FACE_PX}² texels"
-        wrong = "a texel of that level is not as large as the cone"
-        yield said(
-            item,
+        yield row(
+            f"step 4, mip level of a cone of half-angle {half_deg}° at {FACE_PX}² texels",
             "by the aperture of the cone",
             level,
+            "",
+            "a texel of that level is not as large as the cone",
             abs(texel / cone - 1) < 1e-9,
-            wrong,
         )

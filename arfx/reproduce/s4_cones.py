@@ -13,7 +13,7 @@ from arfx.core.stage import JobView, Stage
 from arfx.papers.s4_cones import WIDE_DEG, six_cones
 from arfx.papers.s4_environment import step3_mipmap
 from arfx.papers.s4_gi import PrintedGi, PrintedGiParams, Surfels, wide_cones
-from arfx.reproduce.rows import Row, said
+from arfx.reproduce.rows import Row, row
 from arfx.reproduce.s4_scenes import FLAT_LAMP, flat_scene, settings
 from arfx.reproduce.s4_volumes import N, ray, small
 from arfx.reproduce.work import Work
@@ -28,43 +28,44 @@ FURNACE: tuple[Literal[32, 64, 128], ...] = (32, 64, 128)  # voxels a side
 def cones(work: Work) -> Iterator[Row]:
     directions, weights, _ = six_cones()
     narrow, wide = float(np.degrees(np.arctan(mirror_tangent(0.1)))), WIDE_DEG
-    yield said(
+    yield row(
         "step 4, half-angle of the mirror cone at a roughness of 0.1",
         "a narrow cone",
         (narrow, narrow),
-        narrow < wide / 4,
-        "it is not narrow",
         "degrees",
+        "it is not narrow",
+        narrow < wide / 4,
     )
-    yield said(
+    yield row(
         "step 4, half-angle of the wide cones",
         "several wider cones",
         (wide, wide),
-        len(weights) > 1,
-        "one alone",
         "degrees",
+        "one alone",
+        len(weights) > 1,
     )
-    total = float(weights.sum())
-    yield said(
+    total = weights.sum()
+    yield row(
         "step 4, weights of the wide cones together",
         "1, as follows",
         (total, total),
-        abs(total - 1) < 1e-6,
+        "",
         "not 1",
+        abs(total - 1) < 1e-6,
     )
     z = (np.arange(100_000) + 0.5) / 100_000
     turn = np.arange(100_000) * np.pi * (3 - np.sqrt(5))
     flat = np.sqrt(1 - z**2)
     hemisphere = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], -1)
-    covered = float(((hemisphere @ directions.T).max(1) > np.cos(np.radians(wide))).mean())
-    yield said(
+    covered = ((hemisphere @ directions.T).max(1) > np.cos(np.radians(wide))).mean()
+    yield row(
         "step 4, share of the hemisphere within the wide cones",
         "cover the whole hemisphere",
         (covered, covered),
-        covered > 0.99,
+        "of 1",
         "cones of 60° that cover it would overlap; these are tilted and weighted so that"
         " they leave as much of coarse and fine light as a cosine does",
-        "of 1",
+        covered > 0.99,
     )
     yield through()
     yield from step_length()
@@ -84,13 +85,14 @@ def through() -> Row:
     red, _, _, left = wide_cones(
         made, V, at, step3_mipmap(np.full((6, 8, 8, 3), 0.5)), np.eye(3)
     )[0]
-    share = float(red / (0.5 * left))
-    return said(
+    share = red / (0.5 * left)
+    return row(
         "step 4, environment through a half opaque ceiling, over what cones let through",
         "weighted by what the cone hides",
         share,
-        abs(share - 1) < 1e-3 and left < 0.99,
+        "",
         "not weighted so",
+        abs(share - 1) < 1e-3 and left < 0.99,
     )
 
 
@@ -103,31 +105,31 @@ def step_length() -> Iterator[Row]:
     }
     half = [1 - float(r[3]) for r in ray(0.5, block, [[0.0, 0, 0.5]], [2.0, 8, 8])]
     whole = [1 - float(r[3]) for r in parts[2]]
-    item = "step 4, opacity of half a step where α = 0.5"
-    words = "two of them make one step, as follows"
-    yield said(
-        item,
-        words,
+    yield row(
+        "step 4, opacity of half a step where α = 0.5",
+        "two of them make one step, as follows",
         half,
-        max(abs((1 - h) ** 2 - 0.5) for h in half) < 1e-6,
+        "",
         "two make another",
+        max(abs((1 - h) ** 2 - 0.5) for h in half) < 1e-6,
     )
-    item = "step 4, opacity of two half steps where α = 0.5"
-    yield said(
-        item,
+    yield row(
+        "step 4, opacity of two half steps where α = 0.5",
         "that of one step, as follows",
         whole,
-        max(abs(w - 0.5) for w in whole) < 1e-6,
+        "",
         "another",
+        max(abs(w - 0.5) for w in whole) < 1e-6,
     )
-    brighter = [float(parts[4][k][0] / parts[1][k][0]) for k in range(2)]
-    yield said(
+    brighter = [parts[4][k][0] / parts[1][k][0] for k in range(2)]
+    yield row(
         "step 4, light of a voxel that is passed in four steps, over one step",
         "not stated",
         brighter,
-        max(brighter) < 1.01,
+        "",
         "radiance counts whole at every step; corrected: in proportion to the step's"
         " opacity",
+        max(brighter) < 1.01,
     )
 
 
@@ -146,13 +148,13 @@ def furnace(work: Work) -> Iterator[Row]:
                 furnace_of(PrintedGi(PrintedGiParams(voxels=n, plane_albedo=1.0)), scene),
                 corrected,
             ]
-        yield said(
+        yield row(
             f"step 4, white furnace at {n}³ voxels",
             "1, as follows",
             means,
-            max(abs(m - 1) for m in means) < 0.02,
-            "voxels of the plane that hold the ball's foot leak, and its normals are means",
             "mean radiance",
+            "voxels of the plane that hold the ball's foot leak, and its normals are means",
+            max(abs(m - 1) for m in means) < 0.02,
         )
 
 

@@ -23,7 +23,7 @@ def mirrored_room(clip: Clip, shot: Shot, picture: np.ndarray) -> np.ndarray:
     """The picture (h, w, 3) uint8 with the object's pixels as a mirror in the room of the
     clip, whose axes are the marker's.
     """
-    at, world = shot.renderer.facts.index, World(clip.scene)
+    at, world = shot.facts.index, World(clip.scene)
     low, high = shot.job.scene.model_corners_m.min(0), shot.job.scene.model_corners_m.max(0)
     ball = [
         *(low + high) / 2,
@@ -40,7 +40,7 @@ def mirrored_room(clip: Clip, shot: Shot, picture: np.ndarray) -> np.ndarray:
     normal, position = (
         shot.layer(name)[covered].astype(float) for name in (Layer.NORMAL, Layer.POSITION)
     )
-    seen = position - shot.renderer.facts.pose.inverse().translation_m
+    seen = position - shot.facts.pose.inverse().translation_m
     towards = seen - 2 * (seen * normal).sum(-1, keepdims=True) * normal
     light, _ = radiance(mirror_rays(position + _LIFT_M * normal, towards), room)
     unit = normalise(towards)

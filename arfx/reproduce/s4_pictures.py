@@ -6,7 +6,6 @@ short form cones take its place), and for a mirror ball through the whole synthe
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 
 import cv2
@@ -15,7 +14,6 @@ import numpy as np
 from arfx.core.layers import Layer
 from arfx.core.stage import level_named
 from arfx.measure.difference import difference, touched
-from arfx.measure.steps import chain_of
 from arfx.papers import CORRECTED as CORRECTED_FORMULA
 from arfx.papers import PAPER
 from arfx.reproduce.rows import (
@@ -23,11 +21,11 @@ from arfx.reproduce.rows import (
     CORRECTED,
     PRINTED,
     REFERENCE,
+    Bars,
     Figure,
     Item,
     Row,
-    bars,
-    said,
+    row,
 )
 from arfx.reproduce.s4_mirror import mirrored_room
 from arfx.reproduce.s4_scenes import (
@@ -39,25 +37,13 @@ from arfx.reproduce.s4_scenes import (
     settings,
     under,
 )
-from arfx.reproduce.work import Shot, Work, shot_of
+from arfx.reproduce.work import Shot, Work
 
 
 def pictures(work: Work) -> Iterator[Item]:
     red = work.scaled("red-teapot", "red-cube")
     mirror = work.scaled("mirror", "cube")
     matte = {"plane_gloss": 0.0}
-    sent = (
-        "only lamps are in the printed volumes, so that nothing darkens the plane around"
-        " the object; voxels leak and blur"
-    )
-    folded = (
-        "one picture does not show what is above it and behind the camera: both guess it"
-        " from the same picture"
-    )
-    blurred = (
-        "as above; the printed mirror cone meets the volumes' voxels, and again lamps'"
-        " light alone"
-    )
     for item, title, model, fit, gi, why in (
         (
             "step 4, indirect light of an object and the plane under it",
@@ -65,7 +51,8 @@ def pictures(work: Work) -> Iterator[Item]:
             red,
             "13cm",
             matte,
-            sent,
+            "only lamps are in the printed volumes, so that nothing darkens the plane around"
+            " the object; voxels leak and blur",
         ),
         (
             "step 4, the surroundings in a shiny object",
@@ -73,7 +60,8 @@ def pictures(work: Work) -> Iterator[Item]:
             mirror,
             "9cm",
             matte,
-            folded,
+            "one picture does not show what is above it and behind the camera: both guess it"
+            " from the same picture",
         ),
         (
             "step 4, the object in a shiny real plane",
@@ -81,7 +69,8 @@ def pictures(work: Work) -> Iterator[Item]:
             red,
             "13cm",
             {"plane_gloss": 0.25},
-            blurred,
+            "as above; the printed mirror cone meets the volumes' voxels, and again lamps'"
+            " light alone",
         ),
     ):
         yield from beside_reference(
@@ -104,38 +93,34 @@ def on_the_plane(work: Work) -> Iterator[Row]:
     printed, corrected = (
         float(changes["red-cube", f] @ [1, -1, 0]) for f in (PAPER, CORRECTED_FORMULA)
     )
-    yield said(
+    yield row(
         "step 2, delta volume: red that a red cube gives the plane",
         "V_Δ = V_ρ - V_μ",
         (-printed, corrected),
-        printed < 0,
+        "red less green, linear light",
         "with ρ the real scene alone the difference is that without the object less that"
         " with it: added as printed, it takes red from the plane; the printed method here"
         " subtracts it",
-        "red less green, linear light",
+        printed < 0,
     )
     printed, corrected = (
         float(changes["black-cube", f].mean()) for f in (PAPER, CORRECTED_FORMULA)
     )
-    yield said(
+    yield row(
         "step 2, delta volume: what a black cube takes from the plane",
         "the object's shadow is in V_Δ",
         (printed, corrected),
-        printed < corrected / 2,
+        "linear light",
         "points of one plane send each other no light, so V_Δ holds little that a black"
         " object could take away; corrected: what it hides of the surroundings",
-        "linear light",
+        printed < corrected / 2,
     )
 
 
 def without_planes(shot: Shot) -> Shot:
     """The same frame with indirect light on the object alone."""
-    stage = shot.job.stages["gi"]
-    weak = type(stage)(stage.params.model_copy(update={"strength": 0.0}))
-    return shot_of(
-        dataclasses.replace(shot.job, stages={**shot.job.stages, "gi": weak}),
-        shot.renderer.facts.index,
-    )
+    stage = shot.stages["gi"]
+    return shot.with_stage(type(stage)(stage.params.model_copy(update={"strength": 0.0})))
 
 
 def ring(coverage: np.ndarray) -> np.ndarray:
@@ -161,7 +146,7 @@ def beside_reference(
         name: level_named(stage.levels, work.scaled("reference", "draft"))
         for name, stage in best.job.stages.items()
     }
-    made[REFERENCE] = best.renderer.image(chain_of(best.renderer.plan, levels))
+    made[REFERENCE] = best.renderer.image(best.renderer.chain(levels))
     if model == "mirror":
         made[REFERENCE] = mirrored_room(room(work), best, made[REFERENCE])
     before = shots[PRINTED].renderer.original()
@@ -169,13 +154,13 @@ def beside_reference(
     off = [
         difference(made[REFERENCE], made[name], where).mean for name in (PRINTED, CORRECTED)
     ]
-    yield said(
+    yield row(
         item,
         title,
         off,
-        max(off) < 1,
-        reason,
         "grey levels from traced rays, mean where anything changes",
+        reason,
+        max(off) < 1,
     )
     yield Figure(item, title, {BEFORE: before, **made})
 
@@ -193,14 +178,17 @@ def rates(work: Work) -> Iterator[Item]:
         "the paper names real time as its aim, and no rate, picture size or machine; it"
         " uses a graphics card, here there is none"
     )
-    unit = f"frames/s at {size}, 64³ voxels"
-    yield Row(
-        "frame rate", "real time", printed.frames_per_s, corrected.frames_per_s, why, unit
+    yield row(
+        "frame rate",
+        "real time",
+        (printed.frames_per_s, corrected.frames_per_s),
+        f"frames/s at {size}, 64³ voxels",
+        why,
     )
     words, unit = "voxels in the memory of the graphics card", "MB of the whole process"
-    yield Row("memory", words, printed.peak_mb, corrected.peak_mb, why, unit)
+    yield row("memory", words, (printed.peak_mb, corrected.peak_mb), unit, why)
     stages = sorted({name for t in timed.values() for name in t.stage_s})
-    yield bars(
+    yield Bars(
         "frame rate",
         "time of a frame by stage",
         "ms",

@@ -16,7 +16,7 @@ from arfx.papers.s4_plane import real_and_virtual, real_scene, step1_mesh
 from arfx.papers.s4_shadow_maps import shadow_maps, step2_radiance
 from arfx.papers.s4_volumes import Volumes, octree_of, step2_volumes
 from arfx.papers.s4_voxels import Volume
-from arfx.reproduce.rows import Item, Row, bars, said
+from arfx.reproduce.rows import Bars, Item, Row, row
 from arfx.reproduce.s4_scenes import FLAT_LAMP, flat_scene, settings, under
 from arfx.reproduce.work import Work, shot_of
 from arfx.stages.gi.reference_scene import RayScene
@@ -46,67 +46,65 @@ def light(scene: Scene) -> Iterator[Row]:
     beside = made.leaf_of(
         np.array([[0.06, 0.05, 1e-6], [-0.06, 0.05, 1e-6], [0.06, -0.05, 1e-6]])
     )
-    tilt = float(
-        np.degrees(np.arccos(np.clip(eta[beside, 2] / eta[beside, 3], -1, 1))).max()
-    )
-    yield said(
+    tilt = np.degrees(np.arccos(np.clip(eta[beside, 2] / eta[beside, 3], -1, 1))).max()
+    yield row(
         "step 2, V_η: normal of the plane's voxels",
         "voxels hold normals",
         tilt,
-        tilt < 1,
-        "they do not",
         "degrees off",
+        "they do not",
+        tilt < 1,
     )
     R_rho, R_mu, shows = shadow_maps(real, virtual, made.volume, TOWARDS, RGB)
     plane, expected = np.isfinite(R_rho.distance), ALBEDO * RGB * TOWARDS[2]
-    off = float(np.abs(R_rho.radiance[plane] / expected - 1).max())
-    yield said(
+    off = np.abs(R_rho.radiance[plane] / expected - 1).max()
+    yield row(
         "step 2, R_ρ: light of the real scene's points",
         "light that meets the real scene",
         off,
-        off < 1e-4,
-        "not albedo x light x cosine",
         "relative error",
+        "not albedo x light x cosine",
+        off < 1e-4,
     )
     apart = np.abs(R_mu.radiance - R_rho.radiance).max(-1) > 0
-    yield said(
+    yield row(
         "step 2, R_μ: texels that differ from R_ρ and do not show the object",
         "with the virtual object added",
-        float((apart & ~shows).mean()),
-        not (apart & ~shows).any() and apart.any(),
-        "others changed",
+        (apart & ~shows).mean(),
         "of 1",
+        "others changed",
+        not (apart & ~shows).any() and apart.any(),
     )
     fields = step2_radiance(made, real, virtual, [(TOWARDS, RGB)])
     V_rho, V_mu, V_delta = (v[lowest] for v in (fields.V_rho, fields.V_mu, fields.V_delta))
-    shadow = float(V_delta[made.leaf_of(np.array([[-0.05, 0.0, 1e-6]]))[0], 0])
-    yield said(
+    shadow = V_delta[made.leaf_of(np.array([[-0.05, 0.0, 1e-6]]))[0], 0]
+    yield row(
         "step 2, split injection: V_Δ in the object's shadow",
         "light of R_ρ positive, of R_μ negative",
         shadow,
-        shadow > 0,
-        "not positive",
         "red, radiance",
+        "not positive",
+        shadow > 0,
     )
-    given = float(V_delta[:, 0].min())
-    yield said(
+    given = V_delta[:, 0].min()
+    yield row(
         "step 2, split injection: V_Δ on the lit object",
         "light of R_ρ positive, of R_μ negative",
         given,
-        given < 0,
-        "not negative",
         "red, radiance",
+        "not negative",
+        given < 0,
     )
-    wrong = float((np.abs(V_delta - (V_rho - V_mu)).max(1) > 1e-6).mean())
-    yield said(
+    wrong = (np.abs(V_delta - (V_rho - V_mu)).max(1) > 1e-6).mean()
+    yield row(
         "equation V_Δ = V_ρ - V_μ: voxels in which it does not hold",
         "V_Δ = V_ρ - V_μ",
         wrong,
-        wrong == 0,
+        "of 1",
         "points of light in one voxel overwrite each other, and split injection overwrites"
         " others than the two volumes do; the corrected method adds light up by area and"
         " has no such volumes",
-        "of 1",
+        wrong == 0,
     )
 
 
@@ -144,13 +142,14 @@ def ray(
 
 
 def filtering() -> Iterator[Row]:
-    passes = float(len(small(np.zeros((1, 3), int)).starts))
-    yield said(
+    passes = len(small(np.zeros((1, 3), int)).starts)
+    yield row(
         "step 2, filter steps of an octree of 5 levels",
         "n - 1",
         passes,
-        passes == 4.0,
+        "",
         "not 4",
+        passes == 4.0,
     )
     wall = np.argwhere(np.ones((1, N, N))) + np.array([7, 0, 0])
     leaks = (
@@ -159,22 +158,23 @@ def filtering() -> Iterator[Row]:
     )
     for level in range(4):
         made = [small(wall, stored=stored) for stored in (False, True)]
-        opacity = [float(m.tree.eta[m.rows_of(level), 3].mean()) for m in made]
-        yield said(
+        opacity = [m.tree.eta[m.rows_of(level), 3].mean() for m in made]
+        yield row(
             f"step 2, opacity of a wall of one voxel at level {level}",
             "mean of the children",
             opacity,
-            opacity[0] == opacity[1],
+            "",
             leaks,
+            opacity[0] == opacity[1],
         )
-    left = [float(r[3]) for r in ray(1.0, wall, [[6.0, 3, 1.0]], [-2.0, 8, 8])]
-    yield said(
+    left = [r[3] for r in ray(1.0, wall, [[6.0, 3, 1.0]], [-2.0, 8, 8])]
+    yield row(
         "step 2, light through a wall where a cone is 8 voxels wide",
         "hidden by the wall",
         left,
-        max(left) < 0.01,
-        leaks,
         "of 1",
+        leaks,
+        max(left) < 0.01,
     )
 
 
@@ -190,21 +190,20 @@ def memory(work: Work) -> Iterator[Item]:
         sparse_bytes, dense_bytes = step2_volumes(both, scene, n).memory_bytes(CHANNELS)
         dense.append(dense_bytes / 2**20)
         printed.append(sparse_bytes / 2**20)
-        yield said(
+        yield row(
             f"step 2, memory of the volumes at {n}³ voxels",
             "empty voxels are not stored",
             printed[-1],
-            printed[-1] < 0.2 * dense[-1],
-            "as much as arrays of all voxels",
             f"MB; arrays of all voxels {dense[-1]:.4g}",
+            "as much as arrays of all voxels",
+            printed[-1] < 0.2 * dense[-1],
         )
-    series = {"arrays of all voxels": dense, "printed method": printed}
-    yield bars(
+    yield Bars(
         f"step 2, memory of the volumes at {sides[-1]}³ voxels",
         "a teapot",
         "MB",
         [f"{n}³" for n in sides],
-        series,
+        {"arrays of all voxels": dense, "printed method": printed},
     )
 
 
@@ -220,12 +219,11 @@ def empty(work: Work) -> Row:
             None if shot is None else shot.picture().astype(int) - shot.renderer.original()
         )
         changed.append(0.0 if after is None else float(np.abs(after).max()))
-    item = "step 2, change of the picture by an empty V_Δ"
-    return said(
-        item,
+    return row(
+        "step 2, change of the picture by an empty V_Δ",
         "none, as follows",
         changed,
-        changed == [0.0, 0.0],
-        "pixels changed",
         "grey levels at most",
+        "pixels changed",
+        changed == [0.0, 0.0],
     )

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,11 +18,13 @@ import psutil
 from arfx.config.load import load, merge
 from arfx.config.sections import JobConfig
 from arfx.core import interrupt
+from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
+from arfx.core.stage import Stage
 from arfx.core.waiting import Notice, Progress
 from arfx.errors import RenderError
-from arfx.measure.bench import WALL
-from arfx.measure.steps import Chain, FrameRenderer, PreparedStages, open_frames
+from arfx.measure.steps import Chain, FrameRenderer, open_frames
+from arfx.measure.timing import WALL
 from arfx.media.clip import probe
 from arfx.media.frames import ClipReader
 from arfx.papers import CORRECTED, PAPER
@@ -85,16 +87,28 @@ class Shot:
     renderer: FrameRenderer
     chain: Chain
 
+    @property
+    def facts(self) -> FrameFacts:
+        return self.renderer.facts
+
+    @property
+    def stages(self) -> dict[str, Stage]:
+        return {stage.name: stage for stage, _ in self.chain}
+
     def picture(self) -> np.ndarray:
         """(h, w, 3) uint8 sRGB of the whole frame after all steps."""
         return self.renderer.image(self.chain)
 
     def layer(self, name: Layer) -> np.ndarray:
-        return np.asarray(self.renderer.after(self.chain).view(self.renderer.window)[name])
+        return self.renderer.layer(self.chain, name)
 
     def up_to(self, stage: str) -> Chain:
-        names = [name for name, _ in self.chain]
-        return self.chain[: names.index(stage) + 1]
+        return self.chain[: list(self.stages).index(stage) + 1]
+
+    def with_stage(self, stage: Stage) -> Shot:
+        """The same with this one in place of the job's of its name."""
+        steps = ((stage if own.name == stage.name else own, at) for own, at in self.chain)
+        return replace(self, chain=tuple(steps))
 
     def seconds(self, stage: str, repeats: int = 5) -> float:
         """Median wall-clock time of one stage on this frame; what it prepares and keeps is
@@ -174,7 +188,7 @@ class Work:
         """
         if self.short:
             shot = self.shot(clip, 0, formula, settings)
-            seconds = {stage: shot.seconds(stage, 1) for stage, _ in shot.chain}
+            seconds = {stage: shot.seconds(stage, 1) for stage in shot.stages}
             held_mb = psutil.Process().memory_info().rss / 2**20
             return Timed(1 / sum(seconds.values()), seconds, held_mb, held_mb)
         timed: Timed = self.apart(
@@ -220,8 +234,8 @@ def shot_of(job: Job, index: int) -> Shot:
             f"frame {index} of {job.inputs.info.path} shows no object: nothing is rendered"
             " in it"
         )
-    frames = open_frames(job, [index], PreparedStages(job.scene, job.stages))
-    return Shot(job, frames[index], tuple((s.stage, s.level) for s in plan.steps))
+    (frame,) = open_frames(job, [index]).values()
+    return Shot(job, frame, frame.chain({s.stage: s.level for s in plan.steps}))
 
 
 def median_s(work: Callable[[], Any], repeats: int = 5) -> float:

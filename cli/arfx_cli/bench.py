@@ -18,8 +18,6 @@ from arfx_cli.console import (
     say,
 )
 
-LEAST_SIDE_PX = 16
-
 
 def parse_size(text: str) -> tuple[int, int]:
     """'1280x720' to (1280, 720). Raises ConfigError."""
@@ -28,13 +26,7 @@ def parse_size(text: str) -> tuple[int, int]:
     m = re.fullmatch(r"\s*(\d{1,6})\s*[x×X]\s*(\d{1,6})\s*", text)
     if not m:
         raise ConfigError(f"size {text!r} is not WIDTHxHEIGHT", "for example 1280x720")
-    width, height = int(m[1]), int(m[2])
-    if min(width, height) < LEAST_SIDE_PX:
-        raise ConfigError(
-            f"size {text!r} is too small to measure",
-            f"at least {LEAST_SIDE_PX} px each way",
-        )
-    return width, height
+    return int(m[1]), int(m[2])
 
 
 @click.command()
@@ -108,10 +100,6 @@ def command(
     if as_json:
         emit_json(rows)
         return
-    title = (
-        "cost on this machine (medians; yardstick = one Gaussian blur of the picture), and"
-        " error, grey levels from the best level"
-    )
     lines = (
         (
             r["stage"],
@@ -126,7 +114,8 @@ def command(
         for r in rows
     )
     print_table(
-        title,
+        "cost on this machine (medians; yardstick = one Gaussian blur of the picture), and"
+        " error, grey levels from the best level",
         ("stage", "level", "size", "ms", "yardstick, ms", "ratio", "error", "runs"),
         lines,
         words=3,
@@ -165,10 +154,6 @@ def _calibrate(stage: str | None, level: str | None, as_json: bool) -> None:
         return
     from arfx.core.cost import TERMS
 
-    title = (
-        f"price list, {prices.source}, {prices.threads} threads at once: milliseconds per"
-        " unit"
-    )
     lines = (
         (
             r["entry"],
@@ -178,5 +163,10 @@ def _calibrate(stage: str | None, level: str | None, as_json: bool) -> None:
         )
         for r in rows
     )
-    print_table(title, ("entry", *TERMS, "± %", "runs"), lines)
+    print_table(
+        f"price list, {prices.source}, {prices.threads} threads at once: milliseconds per"
+        " unit",
+        ("entry", *TERMS, "± %", "runs"),
+        lines,
+    )
     say(f"kept in {path}")

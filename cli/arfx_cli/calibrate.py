@@ -36,28 +36,18 @@ if TYPE_CHECKING:
     from arfx.calibrate.calibration import Picture
 
 STILLS = {
-    ".jpg",
-    ".jpeg",
-    ".png",
-    ".bmp",
-    ".tif",
-    ".tiff",
-    ".webp",
-    ".pgm",
-    ".ppm",
-    ".jp2",
-    ".heic",
-    ".heif",
+    *(".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff"),
+    *(".webp", ".pgm", ".ppm", ".jp2", ".heic", ".heif"),
 }
 # frames of a video that are searched for the board: the sharpest of equal intervals
 VIDEO_SEARCHED = 120
 
 
 class _Camera(NamedTuple):
-    """named : what its pictures come from, for messages;  paths : pictures and videos;
-    output : its file;  plots : of residuals and of coverage"""
+    """source : what its pictures come from;  paths : pictures and videos;  output : its file;
+    plots : of residuals and of coverage"""
 
-    named: str
+    source: Path
     paths: list[Path]
     output: Path
     plots: list[Path]
@@ -123,11 +113,10 @@ def command(
     cameras = (
         _several(inputs, output, report)
         if several
-        else [_one(str(inputs[0]), _flatten(inputs), output, report)]
+        else [_camera(inputs[0], _pictures_in(inputs), output, report)]
     )
-    guard = Guard(
-        (("picture", path) for camera in cameras for path in camera.paths), overwrite
-    )
+    read = (("picture", path) for camera in cameras for path in camera.paths)
+    guard = Guard(read, overwrite)
     for camera in cameras:
         guard.file(camera.output, folder_made=several)
         for path in camera.plots:
@@ -137,23 +126,22 @@ def command(
         if as_json:
             emit_json(found)
         return
-    rows: list[dict[str, Any]] = []
+    rows = []
     for k, camera in enumerate(cameras):
-        done: dict[str, Any] | None = None
-        code, message = 0, ""
+        of = f"{k + 1} of {len(cameras)}"
+        row: dict[str, Any] = {"input": str(camera.source), "output": str(camera.output)}
         try:
             camera.output.parent.mkdir(parents=True, exist_ok=True)
-            title = f"{k + 1} of {len(cameras)} {Path(camera.named).name}"
-            done = _calibrate(camera, spec, title)
-            message = done["verdict"]
+            done = _calibrate(camera, spec, f"{of} {camera.source.name}")
+            row |= {"exit_code": 0, "message": done["verdict"], "calibration": done}
         except Exception as e:
             if interrupt.pending():
                 raise
             code, message = explained(e)
             message = on_one_line(message)
-            tell(f"{k + 1} of {len(cameras)} {camera.named}: error: {message}")
-        row = {"input": camera.named, "output": str(camera.output), "exit_code": code}
-        rows.append({**row, "message": message, "calibration": done})
+            row |= {"exit_code": code, "message": message, "calibration": None}
+            tell(f"{of} {camera.source}: error: {message}")
+        rows.append(row)
     failed = sum(row["exit_code"] != 0 for row in rows)
     if as_json:
         emit_json({"cameras": rows, "failed": failed})
@@ -217,42 +205,31 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
     return d | {"output": str(camera.output), "plots": plots}
 
 
-def _one(named: str, paths: list[Path], output: Path, report: Path | None) -> _Camera:
-    beside = output.absolute().parent / f"{output.stem}-"
-    plots = ("residuals.png", "coverage.png")
-    return _Camera(
-        named,
-        paths,
-        output,
-        [report / p if report else beside.with_name(beside.name + p) for p in plots],
-    )
+def _camera(source: Path, paths: list[Path], output: Path, report: Path | None) -> _Camera:
+    folder = report or output.absolute().parent
+    before = "" if report else f"{output.stem}-"
+    plots = [folder / f"{before}{name}.png" for name in ("residuals", "coverage")]
+    return _Camera(source, paths, output, plots)
 
 
 def _several(inputs: tuple[Path, ...], pattern: Path, report: Path | None) -> list[_Camera]:
     """One camera for each argument, or for what is in a folder that holds no pictures itself."""
-    own = {
-        p.resolve() for p in (fixed_folder(pattern), report) if p is not None
-    }  # plots of an earlier run are there
-    found = (
-        s
-        for path in inputs
-        for s in ([path] if not path.is_dir() or _stills(path) else _cameras_in(path))
-    )
-    sources = [s for s in found if s.resolve() not in own]
+    # plots of an earlier run are there
+    own = {p.resolve() for p in (fixed_folder(pattern), report) if p is not None}
     out: dict[Path, _Camera] = {}
-    for source in sources:
-        file = named(pattern, source)
-        if file in out:
-            raise ConfigError(
-                f"{out[file].named} and {source} go to one output, {file}",
-                "{stem} and {parent} keep them apart",
-            )
-        out[file] = _one(
-            str(source),
-            _flatten((source,)),
-            file,
-            None if report is None else report / file.stem,
-        )
+    for path in inputs:
+        sources = [path] if not path.is_dir() or _stills(path) else _cameras_in(path)
+        for source in sources:
+            if source.resolve() in own:
+                continue
+            file = named(pattern, source)
+            if file in out:
+                raise ConfigError(
+                    f"{out[file].source} and {source} go to one output, {file}",
+                    "{stem} and {parent} keep them apart",
+                )
+            plots = None if report is None else report / file.stem
+            out[file] = _camera(source, _pictures_in((source,)), file, plots)
     return list(out.values())
 
 
@@ -263,12 +240,10 @@ def _stills(folder: Path) -> list[Path]:
 def _cameras_in(folder: Path) -> list[Path]:
     from arfx.media.codecs import CLIP_SUFFIXES
 
-    inside = folder_entries(folder)
     found = [
         p
-        for p in inside
-        if (p.is_dir() and _stills(p))
-        or (p.is_file() and p.suffix.lower() in CLIP_SUFFIXES)
+        for p in folder_entries(folder)
+        if (_stills(p) if p.is_dir() else p.is_file() and p.suffix.lower() in CLIP_SUFFIXES)
     ]
     if not found:
         raise InputError(
@@ -278,7 +253,7 @@ def _cameras_in(folder: Path) -> list[Path]:
     return found
 
 
-def _flatten(inputs: tuple[Path, ...]) -> list[Path]:
+def _pictures_in(inputs: tuple[Path, ...]) -> list[Path]:
     """Folders stand for the pictures in them, by name."""
     out: list[Path] = []
     for path in inputs:

@@ -55,23 +55,16 @@ def _level() -> int:
 
 def message_options(f: Callable[..., Any]) -> Callable[..., Any]:
     """What every command has: --json for its result, -v and -q for what it says beside that."""
-    for option in (
+    level: dict[str, Any] = {
+        "is_flag": True,
+        "expose_value": False,
+        "callback": _set_level,
+    }
+    options = (
         click.option(
-            "-q",
-            "--quiet",
-            is_flag=True,
-            expose_value=False,
-            callback=_set_level,
-            help="Only warnings and errors on standard error.",
+            "-q", "--quiet", help="Only warnings and errors on standard error.", **level
         ),
-        click.option(
-            "-v",
-            "--verbose",
-            is_flag=True,
-            expose_value=False,
-            callback=_set_level,
-            help="More detail on standard error.",
-        ),
+        click.option("-v", "--verbose", help="More detail on standard error.", **level),
         click.option(
             "--json",
             "as_json",
@@ -79,7 +72,8 @@ def message_options(f: Callable[..., Any]) -> Callable[..., Any]:
             callback=_keep_output,
             help="One JSON document on standard output.",
         ),
-    ):
+    )
+    for option in options:
         f = option(f)
     return f
 
@@ -136,15 +130,13 @@ def print_table(
     from rich.console import Console
     from rich.table import Table
 
-    table, lines = (
-        Table(
-            title=title,
-            title_justify="left",
-            box=box.SIMPLE_HEAD,
-            padding=(0, 1, 0, 0),
-            pad_edge=False,
-        ),
-        [*rows],
+    lines = [*rows]
+    table = Table(
+        title=title,
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
     )
     for k, column in enumerate(zip(heads, *filter(None, lines), strict=True)):
         longest = max(len(word) for cell in column for word in [*cell.split(), ""])
@@ -178,24 +170,16 @@ class Progress:
 
     def __enter__(self) -> Progress:
         if not self._quiet and sys.stderr.isatty():
+            from rich import progress
             from rich.console import Console
-            from rich.progress import (
-                BarColumn,
-                MofNCompleteColumn,
-                TextColumn,
-                TimeElapsedColumn,
-                TimeRemainingColumn,
-            )
-            from rich.progress import Progress as RichProgress
 
-            columns = (
-                BarColumn(),
-                MofNCompleteColumn(),
-                TimeElapsedColumn(),
-                TimeRemainingColumn(),
-            )
-            self._rich = RichProgress(
-                TextColumn("{task.description}"), *columns, console=Console(stderr=True)
+            self._rich = progress.Progress(
+                progress.TextColumn("{task.description}"),
+                progress.BarColumn(),
+                progress.MofNCompleteColumn(),
+                progress.TimeElapsedColumn(),
+                progress.TimeRemainingColumn(),
+                console=Console(stderr=True),
             )
             self._rich.start()
         return self
@@ -238,29 +222,22 @@ def say_job(report: dict[str, Any]) -> None:
     """The job in a line; with --verbose also its stages, phases and the health of every
     estimate.
     """
-    pose, timing = report["pose"], report["timing"]
     from arfx.run.model_size import size_in_words
+    from arfx.run.pages import render
 
     size = size_in_words(report["model"])
-    reprojection = (pose.get("reprojection_px") or {}).get("median")
-    say(
-        f"{counted(report['output']['frames'], 'frames')} to {report['output']['path']}:"
-        f" object in {pose['frames_measured']} measured and {pose['frames_interpolated']}"
-        f" bridged frames, absent in {pose['frames_absent']}"
-        + (f"; reprojection {reprojection:.2f} px" if reprojection is not None else "")
-        + f"; {size}; {timing['wall_s']:.1f} s ({timing['frames_per_s']:.1f} frames/s)"
-        + (
-            f", resumed: the time of {timing['processes']} processes"
-            if timing["resumed"]
-            else ""
-        )
-    )
+    say(render("measure/job_line.jinja", r=report, size=size).strip())
     detail_job(report)
 
 
 def detail_job(report: dict[str, Any]) -> None:
+    detail_template("measure/job_detail.jinja", r=report)
+
+
+def detail_template(template: str, **values: Any) -> None:
+    """The lines of a template, which only --verbose shows."""
     if verbose():
         from arfx.run.pages import render
 
-        for line in render("measure/job_detail.jinja", r=report).splitlines():
+        for line in render(template, **values).splitlines():
             detail(line)

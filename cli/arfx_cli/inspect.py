@@ -8,7 +8,14 @@ from typing import Any
 import click
 
 from arfx.errors import counted
-from arfx_cli.console import FILE, detail, emit_json, message_options, print_table, tell
+from arfx_cli.console import (
+    FILE,
+    detail_template,
+    emit_json,
+    message_options,
+    print_table,
+    tell,
+)
 
 
 @click.command()
@@ -43,29 +50,11 @@ def command(clip: Path, camera: Path | None, samples: int, as_json: bool) -> Non
     )
     document = inspect(info, lens, samples)
     document["suggestion"] = suggestion(document, clip, camera)
-    _detail(document)
+    detail_template("measure/inspect_detail.jinja", d=document)
     if as_json:
         emit_json(document)
         return
     _print(document)
-
-
-def _detail(document: dict[str, Any]) -> None:
-    c = document["clip"]
-    for s in c["streams"]:
-        detail(
-            f"stream {', '.join(f'{k} {v}' for k, v in s.items() if v not in (None, ''))}"
-        )
-    detail(
-        f"time base {c['time_base']} s, transfer {c['transfer']}, sample aspect"
-        f" {c['sample_aspect'] or 'not stated'}"
-    )
-    detail("frames searched: " + ", ".join(map(str, document["samples"])))
-    for m in document["markers"]:
-        detail(
-            f"{m['marker']}: in {m['frames']} of {m['looked']} frames searched, twice in"
-            f" {m['twice_in_a_frame']}"
-        )
 
 
 def _print(document: dict[str, Any]) -> None:

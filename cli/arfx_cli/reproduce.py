@@ -85,11 +85,13 @@ def command(paper: str, folder: Path, short: bool, overwrite: bool, as_json: boo
 
 
 def _show(rows: list[dict[str, Any]]) -> None:
+    from arfx.reproduce.document import text
+
     lines: list[tuple[str, ...]] = []
     for r in rows:
         if lines and r["paper"] != lines[-1][0]:
             lines.append(())
-        values = (_text(r[key]) for key in ("printed", "paper_formula", "corrected"))
+        values = (text(r[key]) for key in ("printed", "paper_formula", "corrected"))
         lines.append((r["paper"], r["item"], *values, r["unit"], r["verdict"]))
     print_table(
         "papers",
@@ -97,7 +99,3 @@ def _show(rows: list[dict[str, Any]]) -> None:
         lines,
         words=7,
     )
-
-
-def _text(value: float | str | None) -> str:
-    return "–" if value is None else value if isinstance(value, str) else f"{value:.6g}"

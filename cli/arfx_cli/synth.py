@@ -10,7 +10,7 @@ import click
 from arfx_cli.console import (
     FOLDER,
     Progress,
-    detail,
+    detail_template,
     emit_json,
     message_options,
     note,
@@ -65,23 +65,14 @@ def command(
         truth = make_clip(description, folder, path.parent, progress, overwrite)
     files = sorted(str(p.relative_to(folder)) for p in folder.iterdir())
     say(f"{len(truth.frames)} frames in {folder}: {', '.join(files)}")
-    for path in sorted(p for p in folder.rglob("*") if p.is_file() and p.parent == folder):
-        detail(f"{path.name}: {path.stat().st_size:,} bytes")
-    for key in sorted({key for f in truth.frames for key in f.markers}):
-        seen = [
-            f.markers[key]
-            for f in truth.frames
-            if key in f.markers and f.markers[key].visible > 0
-        ]
-        sides = (
-            f", sides of {min(m.side_px for m in seen):.0f} to"
-            f" {max(m.side_px for m in seen):.0f} px"
-            if seen
-            else ""
-        )
-        detail(
-            f"marker {key}: in sight in {len(seen)} of {len(truth.frames)} frames{sides}"
-        )
+    keys = sorted({key for f in truth.frames for key in f.markers})
+    seen = {key: [f.markers[key] for f in truth.frames if key in f.markers] for key in keys}
+    detail_template(
+        "measure/synth_detail.jinja",
+        sizes={p.name: p.stat().st_size for p in sorted(folder.iterdir()) if p.is_file()},
+        markers=seen,
+        frames=len(truth.frames),
+    )
     if truth.world is not None:
         say(
             f"next: arfx process --config {folder / 'job.toml'} -o {folder / 'out.mp4'}  "

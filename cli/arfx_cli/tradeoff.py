@@ -105,11 +105,13 @@ def _show(measured: dict[str, Any]) -> None:
         )
         last = r["name"]
     heads = ("level", "time a frame", "mean", "99 %", "FLIP")
-    title = (
+    print_table(
         "error against reference, grey levels;"
-        f" {counted(len(measured['frames']), 'frames')}"
+        f" {counted(len(measured['frames']), 'frames')}",
+        ("effect", *heads, "ΔE", "SSIM", "flicker"),
+        effects,
+        words=2,
     )
-    print_table(title, ("effect", *heads, "ΔE", "SSIM", "flicker"), effects, words=2)
     names = {r["name"] for r in measured["effects"]}
     pipelines = [
         (name, levels_in_words(r, names), *rest)

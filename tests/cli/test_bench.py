@@ -37,7 +37,7 @@ def test_what_is_unknown_is_a_usage_error(arfx: Run) -> None:
     for words, said in (
         (("--stage", "rastr"), "'raster'"),
         (("--size", "big"), "1280x720"),
-        (("--size", "0x0"), "at least 16 px"),
+        (("--size", "0x0"), "from 64 to 8192 px"),
         (("--level", "hgh"), "'high'"),
     ):
         r = arfx("bench", *words)

@@ -7,7 +7,7 @@ import pytest
 
 from arfx.errors import JobInterruptedError
 from arfx.reproduce import PAPERS, s1
-from arfx.reproduce.rows import Row, compared
+from arfx.reproduce.rows import Row, row
 from arfx.reproduce.work import Work
 from tests.cli.conftest import Run
 
@@ -18,7 +18,7 @@ def one_row(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         s1,
         "rows",
-        lambda work: iter([compared("equation (1)", "2.0", 2.0 + 0.01 * work.short)]),
+        lambda work: iter([row("equation (1)", "2.0", 2.0 + 0.01 * work.short)]),
     )
 
 

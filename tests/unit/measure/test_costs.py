@@ -14,8 +14,9 @@ import pytest
 from arfx.core.cost import UNCALIBRATED, load_prices, shipped_prices
 from arfx.errors import ConfigError
 from arfx.measure import costs, costs_output
-from arfx.measure.bench import Runs, Stopwatch, bench
+from arfx.measure.bench import bench
 from arfx.measure.costs import calibrate, fit, save_prices
+from arfx.measure.timing import Runs, Stopwatch
 from arfx.media.codecs import CODECS
 from tests.unit.measure.test_bench import sleeper  # noqa: F401
 
@@ -102,9 +103,15 @@ def test_what_there_is_no_time_for_keeps_the_shipped_price_and_its_wide_interval
     assert {k.removeprefix("prepare ").split("/")[0] for k in alone.prices} == {"dof"}
 
 
-def test_a_scene_that_is_too_small_for_a_stage_is_passed_over(monkeypatch) -> None:  # type: ignore[no-untyped-def]
-    monkeypatch.setattr(costs, "SCENES", ((64, 64, 0.1, (20, 19), "ball", False),))
-    monkeypatch.setattr(costs, "SLOW_SCENES", ())
+def test_a_scene_that_is_too_small_for_a_stage_is_passed_over(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    scenes = tmp_path / "scenes.toml"
+    scenes.write_text(
+        '[[scene]]\nsize = [64, 64]\ncovered = 0.1\ntriangles = [20, 19]\nshape = "ball"\n'
+        "deep = false\nslow = false\n"
+    )
+    monkeypatch.setattr(costs, "SCENES", scenes)
     assert all(p.spread >= UNCALIBRATED for p in calibrate(stage="dof").prices.values()), (
         "as it was shipped"
     )

@@ -7,7 +7,7 @@ import time
 import numba
 import pytest
 
-from arfx.measure.bench import Stopwatch
+from arfx.measure.timing import Stopwatch
 
 
 @pytest.mark.parametrize("processor", [False, True])

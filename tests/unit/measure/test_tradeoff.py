@@ -5,7 +5,6 @@ sentence that comes of it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,12 +18,12 @@ from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
 from arfx.core.stage import Stage, View, level_named
 from arfx.measure.difference import Difference, difference, mean_flicker, touched
-from arfx.measure.steps import FrameRenderer, PreparedStages, chain_of, window_of
-from arfx.measure.tradeoff import Measurements, Setup, _choose_windows, _Work
+from arfx.measure.steps import Chain, FrameRenderer, PreparedStages, window_of
+from arfx.measure.tradeoff import Measurements, _choose_windows, _Work
 from arfx.measure.tradeoff_frames import NAMES, Sample, pick_frames
 from arfx.measure.tradeoff_html import MOST_BYTES, _share, error_map, page, recommendation
 from arfx.measure.tradeoff_pipelines import LEFT_OUT, Row, front, level_sets, worth_showing
-from arfx.measure.tradeoff_time import Times, time_frame
+from arfx.measure.tradeoff_time import Times
 from arfx.plan.planner import plan_frame
 from arfx.run.parameters import stages_of
 from arfx.stages import STAGES
@@ -39,10 +38,9 @@ def row(
     seconds: float,
     mean: float,
     p99: float,
-    formula: str = "",
     frame: int = 3,
 ) -> Row:
-    r = Row(name, level, formula, measured(seconds), levels={"dof": level})
+    r = Row(name, level, "", measured(seconds), levels={"dof": level})
     r.by_frame[frame] = Difference(
         mean, p99, mean / 100, mean / 3, 1 - mean / 100, (4, 5), 900
     )
@@ -52,11 +50,9 @@ def row(
 
 def found() -> Measurements:
     effects = [row("dof", LEFT_OUT, 0.0, 9.0, 90), row("dof", "draft", 0.01, 2.0, 30),
-               row("dof", "standard", 0.02, 0.4, 5), row("dof", "reference", 2.0, 0, 0),
-               row("dof", "standard", 0.03, 4.0, 40, "paper")]  # fmt: skip
+               row("dof", "standard", 0.02, 0.4, 5), row("dof", "reference", 2.0, 0, 0)]  # fmt: skip
     whole = [row("pipeline", "draft", 0.02, 1.8, 28), row("pipeline", "standard", 0.05, 0.8, 6),
-             row("pipeline", "mixed", 0.06, 0.9, 6), row("pipeline", "reference", 2.0, 0, 0),
-             row("pipeline", "usual", 0.05, 5.0, 50, "paper")]  # fmt: skip
+             row("pipeline", "mixed", 0.06, 0.9, 6), row("pipeline", "reference", 2.0, 0, 0)]  # fmt: skip
     samples = [Sample(3, dict.fromkeys(NAMES, 1.0), "typical")]
     return Measurements(
         samples,
@@ -135,13 +131,13 @@ def test_a_window_shows_what_the_whole_picture_shows() -> None:
     plate = NOISE.uniform(0.1, 0.6, (120, 160, 3)).astype(np.float32)
     window = window_of(plan, f, s.camera.rect, 900)
     assert window.area <= 1100 and plan.changed.contains(window)
-    chain = chain_of(plan, levels)
-    pictures = []
-    for slow in (frozenset(), frozenset(chain)):
-        bench = FrameRenderer(f, plate, plan, window, PreparedStages(s, stages), slow)
-        pictures.append(bench.image(chain))
-        assert np.array_equal(bench.image(()), bench.original())
-    assert np.array_equal(*pictures) and (pictures[0] != bench.original()).any()
+    picture = FrameRenderer(f, plate, plan, stages, window, PreparedStages(s))
+    whole = FrameRenderer(f, plate, plan, stages, s.camera.rect, PreparedStages(s))
+    chain = picture.chain(levels)
+    assert np.array_equal(picture.image(()), picture.original())
+    assert np.array_equal(picture.image(chain), whole.image(chain)[window.slices])
+    assert (picture.image(chain) != picture.original()).any()
+    assert picture.seconds.keys() == {chain[: k + 1] for k in range(len(chain))}
 
 
 def tiny_frame(stages: Mapping[str, Stage]) -> FrameRenderer:
@@ -149,13 +145,8 @@ def tiny_frame(stages: Mapping[str, Stage]) -> FrameRenderer:
     plan = plan_frame(
         list(stages.values()), dict.fromkeys(stages, "standard"), facts(s), s, s.camera.rect
     )
-    return FrameRenderer(
-        facts(s),
-        np.zeros((120, 160, 3), np.float32),
-        plan,
-        s.camera.rect,
-        PreparedStages(s, stages),
-    )
+    plate = np.zeros((120, 160, 3), np.float32)
+    return FrameRenderer(facts(s), plate, plan, stages, s.camera.rect, PreparedStages(s))
 
 
 class Deep(Stage):
@@ -180,13 +171,12 @@ def test_stages_read_the_measured_depth_as_in_a_job() -> None:
     )
     depth = NOISE.uniform(0.2, 0.9, (120, 160)).astype(np.float32)
     window = Rect(30, 20, 90, 70)
-    prepared = PreparedStages(s, {"deep": Deep()})  # type: ignore[dict-item]
-    pictures = [
-        FrameRenderer(
-            f, np.zeros((120, 160, 3), np.float32), plan, window, prepared, frozenset(), d
-        ).image((("deep", "standard"),))
-        for d in (depth, None)
-    ]
+    stages: Any = {"deep": Deep()}
+    plate = np.zeros((120, 160, 3), np.float32)
+    pictures = []
+    for measured_m in (depth, None):
+        frame = FrameRenderer(f, plate, plan, stages, window, PreparedStages(s), measured_m)
+        pictures.append(frame.image(frame.chain({"deep": "standard"})))
     assert np.array_equal(
         pictures[0][..., 0], np.rint(255 * SRGB.encode(depth[window.slices]))
     )
@@ -239,8 +229,7 @@ def test_a_small_window_is_said() -> None:
 
 
 def test_the_front_holds_only_what_nothing_beats() -> None:
-    rows = [r for r in found().pipelines if not r.formula]
-    assert [r.level for r in front(rows)] == ["draft", "standard", "reference"]
+    assert [r.level for r in front(found().pipelines)] == ["draft", "standard", "reference"]
 
 
 def test_the_way_down_goes_by_error_per_second_over_all_effects_and_leaves_out_at_last() -> (
@@ -267,81 +256,64 @@ def test_the_way_down_goes_by_error_per_second_over_all_effects_and_leaves_out_a
     ], "a larger part counts more"
 
 
-def test_what_is_left_of_a_job_has_the_settings_of_a_job_of_its_own() -> None:
+def work_of(frame: FrameRenderer, levels: Mapping[str, str]) -> _Work:
+    """A tradeoff of one frame."""
     params = {n: kind.Params() for n, kind in STAGES.items()}
-    names = ("raster", "lightmap", "gi", "composite")
-    job: Any = SimpleNamespace(
-        scene=scene(), inputs=SimpleNamespace(config=SimpleNamespace(params=params))
-    )
-    stages, usual = stages_of(params, names), dict.fromkeys(names, "standard")
-    frame: Any = replace(tiny_frame(stages), slow=frozenset())
-    work = _Work(
-        job,
-        [],
-        Setup(frame.prepared, {3: frame}),
-        usual,
-        usual,
-        usual,
-        frozenset(),
-        {},
-        found(),
-    )
+    config = SimpleNamespace(params=params)
+    inputs = SimpleNamespace(config=config, camera=frame.prepared.scene.camera)
+    job: Any = SimpleNamespace(stages=frame.stages, inputs=inputs)
+    return _Work(job, [3], {3: frame}, None, levels, levels, Times([frame], {}))
+
+
+def stages_named(*names: str) -> Mapping[str, Stage]:
+    return stages_of({n: kind.Params() for n, kind in STAGES.items()}, names)
+
+
+def test_what_is_left_of_a_job_has_the_settings_of_a_job_of_its_own() -> None:
+    stages = stages_named("raster", "lightmap", "gi", "composite")
+    usual = dict.fromkeys(stages, "standard")
+    work = work_of(tiny_frame(stages), usual)
     left = {n: level for n, level in usual.items() if n != "gi"}
-    assert work.setup(usual).frames[3] is frame
-    assert work.setup(left) is work.setup(dict(left))
-    soft = [
-        work.setup(levels).frames[3].prepared.stages["lightmap"].soft
-        for levels in (usual, left)
-    ]
-    assert soft == [
-        False,
-        True,
-    ], "indirect light takes over the light without direction, and gives it back"
+    assert work.stages(usual) is stages and work.stages(left)["raster"] is stages["raster"]
+    soft = [work.stages(levels)["lightmap"].soft for levels in (usual, left)]
+    assert soft == [False, True], "indirect light takes over, and gives back"
 
 
-def test_pictures_of_a_given_size_ask_no_reference_for_its_time(
+def test_pictures_are_as_large_as_the_references_leave_time_for(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("arfx.measure.tradeoff._pictures_s", lambda *_: np.inf)
     monkeypatch.setattr("arfx.measure.tradeoff.LEAST_PX", 1)
-    stages = stages_of({n: kind.Params() for n, kind in STAGES.items()}, ("raster", "gi"))
     best = {"raster": "reference", "gi": "reference"}
-    slow = frozenset(best.items())
-    frame: Any = replace(tiny_frame(stages), slow=slow)
-    job: Any = SimpleNamespace(
-        scene=scene(), inputs=SimpleNamespace(camera=SimpleNamespace(rect=camera().rect))
-    )
-    main = Setup(frame.prepared, {3: frame})
-    work = _Work(job, [], main, best, best, best, slow, {}, found())
+    frame = tiny_frame(stages_named("raster", "gi"))
     whole = frame.plan.changed.area
-    for asked in (whole // 4, 4 * whole):
-        _choose_windows(work, [best], None, asked)
-        area = work.found.windows[3].area
-        assert area == pytest.approx(min(asked, whole), rel=0.1)
+    for asked, dear_s, expected in (
+        (whole // 4, None, whole // 4),
+        (4 * whole, None, whole),
+        (None, 20.0, 0.5 * whole),
+        (None, 1.0, whole),
+    ):
+        work = work_of(frame, best)
+        if dear_s is not None:
+            work.times.slow_s = {(n, "reference"): (dear_s, dear_s / whole) for n in best}
+        _choose_windows(work, [best], asked)
+        assert work.frames[3].window.area == pytest.approx(expected, rel=0.1)
+        assert dear_s is not None or not work.times.slow_s, (
+            "no reference is asked for its time"
+        )
 
 
 def test_a_step_is_timed_upon_the_steps_before_it_that_are_not_left_out(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    frame, upon = (
-        tiny_frame(
-            stages_of(
-                {n: kind.Params() for n, kind in STAGES.items()},
-                ("raster", "lightmap", "composite"),
-            )
-        ),
-        [],
-    )
-    monkeypatch.setattr(FrameRenderer, "run", lambda self, chain: upon.append(chain))
-    monkeypatch.setattr("arfx.measure.tradeoff_time._whole", lambda *_: None)
-    time_frame(
-        Times(),
-        frame,
-        {"raster": "high", "composite": "standard"},
-        {("composite", "standard")},
-        {},
-    )
-    assert upon == [(("raster", "high"), ("composite", "standard"))]
+    upon: list[Chain] = []
+    monkeypatch.setattr(Times, "of", lambda self, chain, pictures: upon.append(chain))
+    frame = tiny_frame(stages_named("raster", "lightmap", "composite"))
+    work = work_of(frame, dict.fromkeys(frame.stages, "reference"))
+    work.step_time("composite", {"raster": "reference", "composite": "standard"})
+    assert [(s.name, level) for s, level in upon[0]] == [
+        ("raster", frame.stages["raster"].levels[-2]),
+        ("composite", "standard"),
+    ]
 
 
 def test_pipelines_between_the_qualities_are_shown_where_nothing_beats_them_and_none_is_near() -> (
@@ -361,12 +333,7 @@ def test_pipelines_between_the_qualities_are_shown_where_nothing_beats_them_and_
 def test_the_page_holds_everything_and_little_enough() -> None:
     f = found()
     html = page(f, told(f))
-    assert (
-        "a&lt;b&gt;.mp4" in html
-        and "error × 8" in html
-        and "paper" in html
-        and len(html) < MOST_BYTES
-    )
+    assert "a&lt;b&gt;.mp4" in html and "error × 8" in html and len(html) < MOST_BYTES
     assert "http://" not in html.replace("http://www.w3.org", "")
     reference = np.full((4, 5, 3), 100, np.uint8)
     assert (error_map(reference, reference + 3) == 152).all() and (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 
 from arfx.reproduce import PAPERS, Paper
 from arfx.reproduce.document import items_of, reproduce
-from arfx.reproduce.rows import Figure, Item, bars, compared
+from arfx.reproduce.rows import Bars, Figure, Item, row
 from arfx.reproduce.work import Work
 
 GREY = np.full((24, 32, 3), 90, np.uint8)
@@ -37,8 +38,8 @@ def test_a_page_holds_rows_pictures_and_error_maps(
     items: list[Item], tmp_path: Path
 ) -> None:
     items += [
-        compared("figure 1", "a & b", "a & b"),
-        compared(
+        row("figure 1", "a & b", "a & b"),
+        row(
             "table 1, apple",
             "9–13",
             4.25,
@@ -50,7 +51,13 @@ def test_a_page_holds_rows_pictures_and_error_maps(
             "lights",
             {"before": GREY, "printed": GREY, "corrected": GREY + 8, "reference": GREY + 9},
         ),
-        bars("table 1, apple", "Rates", "fps", ["apple"], {"printed": [(9, 13)]}),
+        Bars(
+            "table 1, apple",
+            "Rates",
+            "fps",
+            ["apple", "pear"],
+            {"printed": [(9, 13), None], "here": [4.0, 5.0]},
+        ),
     ]
     document = reproduce(["s1"], tmp_path / "new", Work(tmp_path))
     assert [r["item"] for r in document["rows"]] == ["figure 1", "table 1, apple"]
@@ -63,21 +70,28 @@ def test_a_page_holds_rows_pictures_and_error_maps(
         and "Some &lt;One&gt; 2009" in html
         and "a &amp; b" in html
     )
-    assert html.count("data:image/jpeg") == 6 and html.count("data:image/png") == 1
+    assert html.count("data:image/jpeg") == 6
     assert (
         "printed: 9.00 grey levels from reference" in html
         and "corrected: 1.00 grey levels" in html
     )
+    bars = re.findall(r"margin-left:(\S+)%; width:(\S+)%;[^>]*></i>(\S+)</div>", html)
+    full = 80 / 13
+    assert [(float(a) / full, float(b) / full, text) for a, b, text in bars] == [
+        (pytest.approx(9, rel=0.01), pytest.approx(4, rel=0.01), "9–13"),
+        (0, pytest.approx(4, rel=0.01), "4"),
+        (0, pytest.approx(5, rel=0.01), "5"),
+    ], "what is not known is left out"
     assert "<link" not in html and "src=" in html and "http" not in html
 
 
 def test_an_item_has_one_row_and_no_figure_is_without(
     items: list[Item], tmp_path: Path
 ) -> None:
-    items.append(compared("figure 1", "a", "a"))
+    items.append(row("figure 1", "a", "a"))
     assert items_of("s1", Work(tmp_path)) == items
     for wrong, words in (
-        (compared("figure 1", "b", "b"), "two rows"),
+        (row("figure 1", "b", "b"), "two rows"),
         (Figure("figure 2", "", {"before": GREY}), "no row"),
     ):
         items.append(wrong)

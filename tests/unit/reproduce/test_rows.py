@@ -7,9 +7,8 @@ from arfx.reproduce.rows import (
     HOLDS,
     UNDERIVED,
     Row,
-    bars,
-    compared,
     half_digit,
+    row,
 )
 
 
@@ -29,36 +28,23 @@ def test_digits_printed_give_the_tolerance(printed: str, half: float) -> None:
 
 
 def test_a_verdict_follows_from_the_values() -> None:
-    assert compared("a", "58.7", 58.7428, 58.6512).verdict == HOLDS
-    assert compared("a", "58.7", 58.7428, reason="of no use").reason == ""
-    assert compared("a", "58.7", 58.7428, 54.1451, reason="why").verdict == DIFFERS
-    assert compared("a", "58.7", 58.76, reason="why").verdict == DIFFERS
+    assert row("a", "58.7", (58.7428, 58.6512)).verdict == HOLDS
+    assert row("a", "58.7", 58.7428, reason="of no use").reason == ""
+    assert row("a", "58.7", (58.7428, 54.1451), reason="why").verdict == DIFFERS
+    assert row("a", "58.7", 58.76, reason="why").verdict == DIFFERS
     assert (
-        compared("a", "126.746", None, 120.38, reason="its inputs are not stated").verdict
+        row("a", "126.746", (None, 120.38), reason="its inputs are not stated").verdict
         == UNDERIVED
     )
-    assert compared("a", "14", 16.0, reason="why", tolerance=2).verdict == HOLDS
-    assert compared("a", "left", "left", "left").verdict == HOLDS
-    assert compared("a", "left", "left", "right", reason="why").verdict == DIFFERS
+    assert row("a", "14", 16.0, reason="why", tolerance=2).verdict == HOLDS
+    assert row("a", "left", ("left", "left")).verdict == HOLDS
+    assert row("a", "left", ("left", "right"), reason="why").verdict == DIFFERS
 
 
 def test_a_row_that_does_not_hold_says_why() -> None:
     with pytest.raises(ValueError, match="no reason"):
-        compared("a", "58.7", 58.7428, 54.1451)
+        row("a", "58.7", (58.7428, 54.1451))
     with pytest.raises(ValueError, match="no reason"):
-        compared("a", "126.746", None, reason=" ")
+        row("a", "126.746", None, reason=" ")
     with pytest.raises(ValueError, match="not finite"):
         Row("a", 1.0, float("inf"), 1.0, verdict=HOLDS)
-
-
-def test_bars_draw_ranges_and_leave_out_what_is_not_known() -> None:
-    plot = bars(
-        "table 1",
-        "Rates",
-        "fps",
-        ["a", "b"],
-        {"printed": [(9, 13), None], "here": [4.0, 5.0]},
-    )
-    first = plot.figure.axes[0].patches[0]
-    assert (first.get_x(), first.get_width()) == (9, 4)
-    assert [t.get_text() for t in plot.figure.axes[0].texts] == ["9–13", "4", "5"]

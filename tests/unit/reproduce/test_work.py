@@ -56,7 +56,7 @@ def test_a_frame_is_rendered_under_either_formula(made: tuple[Work, Clip]) -> No
     assert pictures[0].shape == (96, 160, 3)
     assert np.abs(pictures[0].astype(int) - pictures[1]).max() > 8
     assert work.planned(clip, "paper") is printed.job
-    assert corrected.up_to("raster")[-1][0] == "raster"
+    assert corrected.up_to("raster")[-1][0].name == "raster"
     assert corrected.seconds("raster", 2) > 0
 
 

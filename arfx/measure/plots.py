@@ -1,10 +1,9 @@
-"""report.html of a job (the template of that name), and its plots."""
+"""Plots of the pages, and their style."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,26 +11,6 @@ import numpy as np
 from arfx.analyse.pose.visibility import jitter_px
 from arfx.core.camera import Camera
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
-from arfx.run.pages import render
-
-
-def page(
-    report: Mapping[str, Any],
-    facts: Sequence[FrameFacts],
-    before_after: Sequence[tuple[int, np.ndarray, np.ndarray]],
-    plots: Mapping[str, bytes],
-) -> str:
-    """The whole page. plots : "pose" and "timing", PNG bytes."""
-    return render(
-        "measure/report.html",
-        clip=Path(str(report["input"]["path"])).name,
-        report=report,
-        times={f.index: f.time_s for f in facts},
-        pictures=before_after,
-        plots=plots,
-        colours=STATUS_COLOUR,
-    )
-
 
 INK = "#7d8590"  # readable on white and on nearly black
 RAW, SMOOTH, PREDICTED = "#d9822b", "#2f81f7", "#8b949e"
@@ -81,48 +60,6 @@ def pose_plot(
         )
     strip.set_yticks([])
     strip.set_xlabel("time, s")
-    return png(fig)
-
-
-def timing_plot(report: Mapping[str, Any]) -> bytes:
-    """Predicted and measured seconds of each stage, and the phases of the job."""
-    stages = [s for s in report["stages"] if s["frames_run"]]
-    phases = [
-        (k.removesuffix("_s"), v)
-        for k, v in report["timing"].items()
-        if k.endswith("_s") and k != "wall_s"
-    ]
-    phases = [
-        (k, v) for k, v in phases if k != "frames_per" and isinstance(v, (int, float))
-    ]
-    rows = max(len(stages), len(phases), 1)
-    fig = drawing(9.0, 0.9 + 0.36 * rows)
-    left, right = fig.subplots(1, 2)
-    y = np.arange(len(stages))
-    left.barh(
-        y - 0.19,
-        [s["predicted_s"] or 0.0 for s in stages],
-        0.36,
-        color=PREDICTED,
-        label="predicted",
-    )
-    left.barh(
-        y + 0.19,
-        [s["measured_s"] or 0.0 for s in stages],
-        0.36,
-        color=SMOOTH,
-        label="measured",
-    )
-    left.set_yticks(y, [s["name"] for s in stages])
-    left.set_title("Stages, s (summed over workers)")
-    if stages:
-        left.legend()
-    y = np.arange(len(phases))
-    right.barh(y, [v for _, v in phases], 0.6, color=SMOOTH)
-    right.set_yticks(y, [k for k, _ in phases])
-    right.set_title("Phases, s")
-    for axis in (left, right):
-        axis.invert_yaxis()
     return png(fig)
 
 
