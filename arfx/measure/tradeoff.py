@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
 import cv2
@@ -36,7 +37,7 @@ from arfx.measure.tradeoff_pipelines import (
 )
 from arfx.measure.tradeoff_time import Times, fast
 from arfx.plan.planner import new_terms
-from arfx.run.parameters import stages_of
+from arfx.run.parameters import stages_of, under_other_formula
 from arfx.run.planned import Job
 from arfx.stages import ALWAYS
 
@@ -45,6 +46,7 @@ REFERENCE_S, LEAST_PX = 60.0, 600
 MOST_PX = 600_000
 
 Levels = Mapping[str, str]  # by stage; one that is left out has none
+OWN: Mapping[str, Stage] = MappingProxyType({})
 
 
 @dataclass
@@ -99,22 +101,35 @@ class _Work:
             }
         return self.left[key]
 
-    def chain(self, frame: FrameRenderer, levels: Levels) -> Chain:
-        stages = self.stages(levels)
+    def chain(
+        self, frame: FrameRenderer, levels: Levels, other: Mapping[str, Stage] = OWN
+    ) -> Chain:
+        """other : stages in place of the job's own"""
+        stages = {**self.stages(levels), **other}
         return tuple((stages[stage.name], at) for stage, at in frame.chain(levels))
 
-    def image(self, frame: FrameRenderer, levels: Levels) -> np.ndarray:
-        return frame.image(self.chain(frame, levels))
+    def image(
+        self, frame: FrameRenderer, levels: Levels, other: Mapping[str, Stage] = OWN
+    ) -> np.ndarray:
+        return frame.image(self.chain(frame, levels, other))
 
-    def step_time(self, name: str, levels: Levels) -> Prediction:
+    def step_time(self, name: str, row: Row) -> Prediction:
         """Of one step of a frame, upon what those before it make at their usual level."""
-        stages, names = self.stages(levels), list(levels)
-        before = [fast(stages[n], self.usual[n]) for n in names[: names.index(name)]]
-        return self.times.of((*before, (stages[name], levels[name])), self.sampled)
+        stages, names = {**self.stages(row.levels), **row.other}, list(row.levels)
+        before = [
+            fast(stages[n], level_named(stages[n].levels, self.usual[n]))
+            for n in names[: names.index(name)]
+        ]
+        return self.times.of((*before, (stages[name], row.levels[name])), self.sampled)
 
-    def time(self, levels: Levels) -> Prediction:
+    def time(self, row: Row) -> Prediction:
         """Of all steps of a frame."""
-        return sum_independent(self.step_time(n, levels) for n in levels)
+        return sum_independent(self.step_time(n, row) for n in row.levels)
+
+    def usual_levels(self, other: Mapping[str, Stage]) -> dict[str, str]:
+        """Those of the job's quality, or the nearest that these stages have."""
+        stages = {**self.job.stages, **other}
+        return {n: level_named(stages[n].levels, at) for n, at in self.usual.items()}
 
     def slow_chains(self, frame: FrameRenderer, sets: Iterable[Levels]) -> set[Chain]:
         """The beginnings of these that end in a slow step."""
@@ -144,7 +159,12 @@ def measure(
             "see `arfx plan`",
         )
     work = _opened(job, [s.index for s in samples], flicker=only is None)
-    effects = [n for n in work.usual if len(job.stages[n].levels) > 1]
+    other = {
+        n: stage
+        for n in (work.usual if only is None else ())
+        if (stage := under_other_formula(n, job.stages[n].params)) is not None
+    }
+    effects = [n for n in work.usual if len(job.stages[n].levels) > 1 or n in other]
     if only is not None:
         effects = [n for n in effects if n in only]
     chains = [{**work.usual, n: work.best[n]} for n in effects]
@@ -157,6 +177,9 @@ def measure(
     if only is None:
         progress("pipelines", len(effects), total)
         found.pipelines = _pipelines(work, found.effects)
+    if other:
+        found.effects += [_of_other_formula(work, n, s) for n, s in other.items()]
+        found.pipelines.append(_other_pipeline(work, other))
     found.prepare_s = work.sampled[0].prepared.prepare_s
     progress("pipelines", total, total)
     return found
@@ -227,7 +250,7 @@ def _of_stage(work: _Work, name: str, found: Measurements) -> list[Row]:
     chosen = {**usual, name: best}
     _compare(work, rows, chosen, name)
     for row in levels:
-        row.time = work.step_time(name, row.levels)
+        row.time = work.step_time(name, row)
     for i in rows[-1].by_frame:
         worst = max(levels[:-1], key=lambda r: r.by_frame[i].p99, default=None)
         if worst is not None:
@@ -252,7 +275,7 @@ def _compare(work: _Work, rows: Sequence[Row], best: Levels, effect: str = "") -
         left = {n: at for n, at in work.usual.items() if n != effect}
         without = work.image(frame, left) if effect else frame.original()
         for r in rows:
-            r.pictures[i] = work.image(frame, r.levels)
+            r.pictures[i] = work.image(frame, r.levels, r.other)
         where = touched((reference, without), *((reference, r.pictures[i]) for r in rows))
         for r in rows:
             r.by_frame[i] = difference(reference, r.pictures[i], where)
@@ -290,6 +313,26 @@ def _location(d: Difference, coverage: np.ndarray) -> str:
     return "on the object" if coverage[y, x] > 0.5 else "beside the object"
 
 
+def _of_other_formula(work: _Work, name: str, stage: Stage) -> Row:
+    """An effect under the other formula, at its usual level, against the job's own reference."""
+    other = {name: stage}
+    levels = work.usual_levels(other)
+    row = Row(name, levels[name], stage.params.formula, levels=levels, other=other)
+    _compare(work, [row], {**work.usual, name: work.best[name]}, name)
+    row.time = work.step_time(name, row)
+    return row
+
+
+def _other_pipeline(work: _Work, other: Mapping[str, Stage]) -> Row:
+    """The whole pipeline with every stage under the other formula."""
+    formula = next(iter(other.values())).params.formula
+    levels = work.usual_levels(other)
+    row = Row("pipeline", "usual", formula, levels=levels, other=other)
+    _compare(work, [row], work.best)
+    row.time = work.time(row)
+    return row
+
+
 def _pipelines(work: _Work, effects: Sequence[Row]) -> list[Row]:
     """Pipelines by quality, and those in between that give the least error for each second
     and whose references take no more than REFERENCE_S."""
@@ -316,5 +359,5 @@ def _pipelines(work: _Work, effects: Sequence[Row]) -> list[Row]:
                 work.image(frame, levels)
     _compare(work, rows + mixed, work.best)
     for r in rows + mixed:
-        r.time = work.time(r.levels)
+        r.time = work.time(r)
     return worth_showing(rows + mixed)

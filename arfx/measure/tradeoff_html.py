@@ -102,14 +102,17 @@ FLOOR = 0.02  # grey levels: what is drawn for none
 
 
 def effect_plot(rows: Sequence[Row]) -> bytes:
-    """Mean and 99th percentile of each level of one effect."""
+    """Mean and 99th percentile of each level of one effect; the other formula's point is a
+    diamond."""
     fig = drawing(6.4, 3.4)
     axis = fig.subplots()
-    levels = [r for r in rows if r.level != LEFT_OUT]
+    levels = [r for r in rows if r.level != LEFT_OUT and not r.other]
+    other = [r for r in rows if r.other]
     worst = _points(levels, worst=True)
     axis.plot(*worst, "o-", color=RAW, ms=5, lw=1, label="99th percentile, worst frame")
     axis.plot(*_points(levels), "o-", color=SMOOTH, ms=5, lw=1, label="mean")
-    _named(axis, levels, (4, -11))
+    axis.plot(*_points(other), "D", color=SMOOTH, ms=5)
+    _named(axis, [*levels, *other], (4, -11))
     return _finished(fig, f"{rows[0].name}: error against its own reference")
 
 
@@ -117,11 +120,12 @@ def pipeline_plot(rows: Sequence[Row]) -> bytes:
     """Whole pipelines, the front of those that no other beats joined by a line."""
     fig = drawing(7.6, 4.2)
     axis = fig.subplots()
-    best = _points(front(rows))
+    best = _points(front([r for r in rows if not r.other]))
     axis.plot(*best, "-", color=SMOOTH, lw=1.2, label="Pareto front")
     named = [r for r in rows if r.level != "mixed"]
     mixed = [r for r in rows if r.level == "mixed"]
-    axis.plot(*_points(named), "o", color=SMOOTH, ms=6)
+    axis.plot(*_points([r for r in named if not r.other]), "o", color=SMOOTH, ms=6)
+    axis.plot(*_points([r for r in named if r.other]), "D", color=RAW, ms=6)
     axis.plot(*_points(mixed), "o", color=PREDICTED, ms=4)
     _named(axis, named, (5, 5))
     return _finished(fig, "Whole pipelines against everything at reference")
@@ -136,7 +140,8 @@ def _points(rows: Sequence[Row], worst: bool = False) -> tuple[list[float], list
 
 def _named(axis: Any, rows: Sequence[Row], aside: tuple[int, int]) -> None:
     for r, *at in zip(rows, *_points(rows), strict=True):
-        axis.annotate(r.level, at, aside, textcoords="offset points", fontsize=8, color=INK)
+        name = f"{r.formula} {r.level}" if r.other else r.level
+        axis.annotate(name, at, aside, textcoords="offset points", fontsize=8, color=INK)
 
 
 def _finished(fig: Any, title: str) -> bytes:
@@ -158,7 +163,7 @@ def document(found: Measurements, job: Job, seconds: float) -> dict[str, Any]:
     """seconds : what the measuring took. `errors` is what `--tradeoff` reads (plan/errors.py)."""
     errors: dict[str, dict[str, float]] = {}
     for r in found.effects:
-        if r.level != LEFT_OUT:
+        if r.level != LEFT_OUT and not r.other:
             errors.setdefault(r.name, {})[r.level] = r.worst("mean")
     times = {f.index: f.time_s for f in job.facts}
     frames = [
@@ -179,6 +184,7 @@ def document(found: Measurements, job: Job, seconds: float) -> dict[str, Any]:
 
 
 def _row(r: Row, found: Measurements) -> dict[str, Any]:
+    own = [p for p in found.pipelines if not p.other]
     return {
         "name": r.name,
         "level": r.level,
@@ -188,7 +194,7 @@ def _row(r: Row, found: Measurements) -> dict[str, Any]:
             if r.name == "pipeline"
             else None
         ),
-        "beaten": r in found.pipelines and r not in front(found.pipelines),
+        "beaten": r in own and r not in front(own),
         "seconds_per_frame": r.seconds,
         "between_s": [r.time.low_s, r.time.high_s],
         "prepare_s": found.prepare_s.get((r.name, r.level)),

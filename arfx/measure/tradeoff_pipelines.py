@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from arfx.core.cost import Prediction, measured
+from arfx.core.stage import Stage
 from arfx.measure.difference import Difference
 from arfx.plan.levels import Option, way_down
 
@@ -23,7 +24,8 @@ class Row:
     """One level of one effect, or one whole pipeline. time : per frame;  by_frame : what
     was found in each
 
-    formula : which the stage ran under;  flicker : of this and of the reference, grey
+    formula : which the stage ran under;  other : stages under the formula that the job does
+    not use, in place of its own;  flicker : of this and of the reference, grey
     levels from a frame to the next"""
 
     name: str
@@ -34,6 +36,7 @@ class Row:
     flicker: tuple[float, float] | None = None
     pictures: dict[int, np.ndarray] = field(default_factory=dict)
     levels: Mapping[str, str] = field(default_factory=dict)
+    other: Mapping[str, Stage] = field(default_factory=dict)
 
     @property
     def seconds(self) -> float:
