@@ -39,8 +39,10 @@ def row(
     mean: float,
     p99: float,
     frame: int = 3,
+    formula: str = "",
 ) -> Row:
-    r = Row(name, level, "", measured(seconds), levels={"dof": level})
+    other = {"dof": object()} if formula else {}
+    r = Row(name, level, formula, measured(seconds), levels={"dof": level}, other=other)
     r.by_frame[frame] = Difference(
         mean, p99, mean / 100, mean / 3, 1 - mean / 100, (4, 5), 900
     )
@@ -50,9 +52,11 @@ def row(
 
 def found() -> Measurements:
     effects = [row("dof", LEFT_OUT, 0.0, 9.0, 90), row("dof", "draft", 0.01, 2.0, 30),
-               row("dof", "standard", 0.02, 0.4, 5), row("dof", "reference", 2.0, 0, 0)]  # fmt: skip
+               row("dof", "standard", 0.02, 0.4, 5), row("dof", "reference", 2.0, 0, 0),
+               row("dof", "standard", 0.03, 4.0, 40, formula="paper")]  # fmt: skip
     whole = [row("pipeline", "draft", 0.02, 1.8, 28), row("pipeline", "standard", 0.05, 0.8, 6),
-             row("pipeline", "mixed", 0.06, 0.9, 6), row("pipeline", "reference", 2.0, 0, 0)]  # fmt: skip
+             row("pipeline", "mixed", 0.06, 0.9, 6), row("pipeline", "reference", 2.0, 0, 0),
+             row("pipeline", "usual", 0.001, 5.0, 50, formula="paper")]  # fmt: skip
     samples = [Sample(3, dict.fromkeys(NAMES, 1.0), "typical")]
     return Measurements(
         samples,
@@ -229,7 +233,8 @@ def test_a_small_window_is_said() -> None:
 
 
 def test_the_front_holds_only_what_nothing_beats() -> None:
-    assert [r.level for r in front(found().pipelines)] == ["draft", "standard", "reference"]
+    own = [r for r in found().pipelines if not r.other]
+    assert [r.level for r in front(own)] == ["draft", "standard", "reference"]
 
 
 def test_the_way_down_goes_by_error_per_second_over_all_effects_and_leaves_out_at_last() -> (
@@ -334,6 +339,7 @@ def test_the_page_holds_everything_and_little_enough() -> None:
     f = found()
     html = page(f, told(f))
     assert "a&lt;b&gt;.mp4" in html and "error × 8" in html and len(html) < MOST_BYTES
+    assert html.count("standard (paper)") >= 2 and "usual (paper)" in html
     assert "http://" not in html.replace("http://www.w3.org", "")
     reference = np.full((4, 5, 3), 100, np.uint8)
     assert (error_map(reference, reference + 3) == 152).all() and (
