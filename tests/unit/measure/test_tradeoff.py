@@ -314,7 +314,8 @@ def test_a_step_is_timed_upon_the_steps_before_it_that_are_not_left_out(
     monkeypatch.setattr(Times, "of", lambda self, chain, pictures: upon.append(chain))
     frame = tiny_frame(stages_named("raster", "lightmap", "composite"))
     work = work_of(frame, dict.fromkeys(frame.stages, "reference"))
-    work.step_time("composite", {"raster": "reference", "composite": "standard"})
+    levels = {"raster": "reference", "composite": "standard"}
+    work.step_time("composite", Row("composite", "standard", "", levels=levels))
     assert [(s.name, level) for s, level in upon[0]] == [
         ("raster", frame.stages["raster"].levels[-2]),
         ("composite", "standard"),
