@@ -96,6 +96,38 @@ def test_names_as_exporters_write_them(
     assert is_whole(obj(tmp_path, f"newmtl Möbel\nmap_Kd {map_kd}\n", line, use))
 
 
+@pytest.mark.parametrize(
+    "face",
+    [
+        "f 1/1/1 2/2/1 3/3/1 4/4/1 5/5/1",
+        "f -5/-5/-1 -4/-4/-1 -3/-3/-1 -2/-2/-1 -1/-1/-1",
+        "\tf  1/1/1 2/2/1\t3/3/1 4/4/1 \\\n5/5/1 # five",
+    ],
+)
+def test_faces_of_many_corners_are_fans(tmp_path: Path, face: str) -> None:
+    places = [(0, 0), (2, 0), (3, 1), (1, 2), (-1, 1)]
+    lines = [f"v {x} {y} 0" for x, y in places] + [f"vt {x} {y}" for x, y in places]
+    (tmp_path / "a.obj").write_text("\n".join([*lines, "vn 0 0 2", face]))
+    (part,) = load_model(tmp_path / "a.obj").parts
+    corners = part.vertices[part.faces][..., :2]
+    assert corners.tolist() == [[list(places[k]) for k in (0, k, k + 1)] for k in (1, 2, 3)]
+    assert (
+        part.uv is not None and (part.uv == part.vertices[:, :2] * (1, -1) + (0, 1)).all()
+    )
+    assert (part.normals == [0, 0, 1]).all()
+
+
+def test_a_corner_without_coordinates_leaves_the_others_theirs(tmp_path: Path) -> None:
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt .5 .25\nf 1/1 2/1 3\n"
+    (tmp_path / "a.obj").write_text(text)
+    (part,) = load_model(tmp_path / "a.obj").parts
+    assert part.uv is not None and sorted(map(tuple, part.uv)) == [
+        (0, 0),
+        (0.5, 0.75),
+        (0.5, 0.75),
+    ]
+
+
 def test_a_name_with_blanks_is_one_name(tmp_path: Path) -> None:
     (tmp_path / "b c.mtl").write_text("newmtl m\nKd 1 0 0\n")
     assert obj(tmp_path, "", "b c.mtl", "m").parts[0].material.base_colour == (1, 0, 0, 1)
@@ -175,6 +207,12 @@ def test_colours_of_a_ply_are_kept_beside_coordinates(tmp_path: Path) -> None:
         (1, 1): (0, 0, 1),
         (0, 1): (1, 1, 1),
     }
+
+
+def test_colours_of_a_ply_show_where_its_texture_is_missing(tmp_path: Path) -> None:
+    model = ply(tmp_path, "TextureFile none.png")
+    assert model.parts[0].colours is not None
+    assert "none.png" in model.notices[0] and len(model.notices) == 1
 
 
 def test_textures_of_a_ply_that_are_not_shown_are_told(tmp_path: Path) -> None:
