@@ -29,7 +29,7 @@ from arfx.analyse.pose.shots import thumbnail
 from arfx.core.camera import Camera
 from arfx.core.marker import Marker, MarkerSpec
 from arfx.core.stage import Check
-from arfx.errors import ConfigError, NothingToDoError
+from arfx.errors import ConfigError, InputError, NothingToDoError
 
 MOST_MISFIT_PX = 1.0  # of a flat print from its picture; blur of 2.5 px makes as much
 # in place of a transfer: of prints that are symmetric in light, or found in the picture itself
@@ -94,9 +94,23 @@ class MarkerSearch:
         self._pictured = Tracker(PicturedPrints(pictures, job.camera))
 
     def step(self, frame: AnalysisFrame) -> list[Sighting]:
-        """What is seen in the next frame."""
+        """What is seen in the next frame. Raises InputError for luma of another type or size,
+        and for frames out of order."""
         index, time_s, luma = frame.index, frame.time_s, frame.luma
+        if luma.ndim != 2 or luma.dtype != np.uint8:
+            raise InputError(
+                f"frame {index}: luma is {luma.dtype} of shape {luma.shape}",
+                "uint8 of shape (height, width)",
+            )
         height, width = luma.shape
+        if self.frames:
+            last = self.frames[-1]
+            _require_size(index, (width, height), (last.width, last.height))
+            if index != last.frame + 1 or time_s <= last.time_s:
+                raise InputError(
+                    f"frame {index} at {time_s:g} s comes after frame {last.frame} at"
+                    f" {last.time_s:g} s"
+                )
         camera = self._camera.scaled_to(width, height)
         found, pictured = self._coded.search(frame), self._pictured.search(frame)
         every = (*found.sightings, *found.duplicates)
@@ -157,13 +171,17 @@ def _refined(
 
 
 def frame_size(frames: Sequence[FrameRow]) -> tuple[int, int]:
-    """(width, height) of the clip. Raises NothingToDoError without a frame."""
+    """(width, height) of the clip. Raises NothingToDoError without a frame, InputError where
+    frames differ."""
     if not frames:
         raise NothingToDoError(
             "the clip holds no frame",
             "is it empty, or does --start lie behind its end?",
         )
-    return frames[0].width, frames[0].height
+    size = frames[0].width, frames[0].height
+    for row in frames:
+        _require_size(row.frame, (row.width, row.height), size)
+    return size
 
 
 def choose_transfer(prints: Iterable[Sighting]) -> str:
@@ -246,4 +264,11 @@ def pattern_checks(summary: Mapping[str, Any]) -> Iterator[Check]:
             value <= MOST_MISFIT_PX,
             "its corners are off by about as much: fix the print to something flat, and"
             " give the picture that was printed",
+        )
+
+
+def _require_size(index: int, size: tuple[int, int], before: tuple[int, int]) -> None:
+    if size != before:
+        raise InputError(
+            f"frame {index} is {size[0]}x{size[1]}, the frames before it are not"
         )
