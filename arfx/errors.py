@@ -4,7 +4,9 @@ exit code.
 
 from __future__ import annotations
 
-LONGEST = 4000  # characters of a message; what is wrong may be megabytes of somebody's file
+LONGEST = (
+    4000  # characters of a message; what is wrong may be megabytes of somebody's file
+)
 
 
 def cut(text: str) -> str:

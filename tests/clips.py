@@ -58,7 +58,9 @@ def pose_at(i: int, n: int) -> Pose:
 @cache
 def ground_of(w: int, h: int, seed: int) -> np.ndarray:
     coarse = (
-        np.random.default_rng(seed).integers(90, 170, (h // 8, w // 8, 3)).astype(np.uint8)
+        np.random.default_rng(seed)
+        .integers(90, 170, (h // 8, w // 8, 3))
+        .astype(np.uint8)
     )
     return cv2.resize(coarse, (w, h), interpolation=cv2.INTER_CUBIC)
 

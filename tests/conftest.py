@@ -84,7 +84,9 @@ def longest_first(items: list[pytest.Item], processes: int) -> list[pytest.Item]
     return [*out, *short]
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(
+    config: pytest.Config, items: list[pytest.Item]
+) -> None:
     """Files in LONG come first. `-m process` takes every test whose source starts a process
     or a thread or sends a signal, marked by hand or not."""
     items[:] = longest_first(
@@ -102,7 +104,9 @@ def pytest_configure(config: pytest.Config) -> None:
     """Before several test processes compile the same kernels side by side, what jobs call
     is compiled once.
     """
-    if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
+    if getattr(config.option, "numprocesses", None) and not hasattr(
+        config, "workerinput"
+    ):
         from arfx.run.kernels import compile_ahead
         from arfx_cli.console import Progress
 

@@ -23,7 +23,9 @@ def identical(a: Any, b: Any) -> bool:
             identical(x, y) for x, y in zip(a.items(), b.items(), strict=True)
         )
     if isinstance(a, list | tuple):
-        return len(a) == len(b) and all(identical(x, y) for x, y in zip(a, b, strict=True))
+        return len(a) == len(b) and all(
+            identical(x, y) for x, y in zip(a, b, strict=True)
+        )
     if is_dataclass(a):
         return all(identical(getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
     return bool(a == b)

@@ -61,7 +61,8 @@ def pose(i: int) -> Pose:
     )
     turn = turn @ rotation_from_euler_deg(0, 0, 15 + 2 * np.sin(0.7 * t))
     return Pose(
-        turn, np.array([0.01 * np.sin(0.9 * t), 0.06 + 0.01 * np.sin(1.3 * t), DISTANCE_M])
+        turn,
+        np.array([0.01 * np.sin(0.9 * t), 0.06 + 0.01 * np.sin(1.3 * t), DISTANCE_M]),
     )
 
 
@@ -70,7 +71,8 @@ def make_clip(path: Path, frames: int, visible: int) -> Path:
     g = np.random.default_rng(5)
     scale, side, margin, board = 2000.0, 300, 45, 1800
     table = cv2.resize(
-        g.integers(70, 180, (board // 12, board // 12, 3)).astype(np.uint8), (board, board)
+        g.integers(70, 180, (board // 12, board // 12, 3)).astype(np.uint8),
+        (board, board),
     )
     with_marker = table.copy()
     code = cv2.aruco.generateImageMarker(
@@ -223,7 +225,9 @@ def main() -> None:
     p = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    p.add_argument("--frames", type=int, default=600, help="length of the two timed clips")
+    p.add_argument(
+        "--frames", type=int, default=600, help="length of the two timed clips"
+    )
     p.add_argument("--runs", type=int, default=3)
     p.add_argument(
         "--workers", type=int, help="worker processes of arfx; default: its own choice"
@@ -271,7 +275,9 @@ def main() -> None:
             peaks = {}
             for frames in (100, 1000):
                 clip = make_clip(folder / f"{frames}.mp4", frames, frames)
-                peaks[frames] = timed(arfx_command(clip, *parts, folder / "out.mp4", 1))[1]
+                peaks[frames] = timed(arfx_command(clip, *parts, folder / "out.mp4", 1))[
+                    1
+                ]
             growth = peaks[1000] / peaks[100]
             print(
                 f"peak memory: {peaks[100]:.0f} MB for 100 frames, {peaks[1000]:.0f} MB for"

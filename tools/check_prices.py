@@ -26,7 +26,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as `arfx` does, before numpy reads it
+os.environ.setdefault(
+    "OPENBLAS_NUM_THREADS", "1"
+)  # as `arfx` does, before numpy reads it
 
 import av
 import numpy as np
@@ -157,7 +159,9 @@ def pictures(path: Path) -> list[np.ndarray]:
 
 
 def mean_error(
-    reference: Sequence[np.ndarray], test: Sequence[np.ndarray], plain: Sequence[np.ndarray]
+    reference: Sequence[np.ndarray],
+    test: Sequence[np.ndarray],
+    plain: Sequence[np.ndarray],
 ) -> float:
     """Grey levels, over all pixels of all frames that either of the two changes or in which
     they differ.
@@ -188,8 +192,12 @@ def budgets(folder: Path, job: Path, pipeline: str, clock: str, count: int = 10)
         max(best.predicted["high_s"] - before, 0.2),
     )
     rows, bad = [], 0
-    print("| asked, s | predicted | taken | error | levels | |\n|---|---|---|---|---|---|")
-    for k, budget in enumerate(before + np.geomspace(1.02 * ends[0], 1.1 * ends[1], count)):
+    print(
+        "| asked, s | predicted | taken | error | levels | |\n|---|---|---|---|---|---|"
+    )
+    for k, budget in enumerate(
+        before + np.geomspace(1.02 * ends[0], 1.1 * ends[1], count)
+    ):
         ran = run(folder, f"budget-{k}", job, {**base, "budget": f"{budget:.3f}s"}, clock)
         error = mean_error(wanted, pictures(ran.output), plain)
         late = ran.seconds > 1.1 * budget
@@ -266,7 +274,9 @@ def _told(ran: Ran) -> str:
     """Two columns: predicted and measured."""
     p = ran.predicted
     return (
-        "unknown" if p is None else f"{p['s']:.2f} ({p['low_s']:.2f} to {p['high_s']:.2f})"
+        "unknown"
+        if p is None
+        else f"{p['s']:.2f} ({p['low_s']:.2f} to {p['high_s']:.2f})"
     ) + f" | {ran.seconds:.2f}"
 
 

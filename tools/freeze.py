@@ -89,13 +89,23 @@ def jobs() -> Iterator[Job]:
     yield scene_job("formula-paper", PRESET_SCENE, "--formula", "paper")
     yield scene_job("pyrender", PLAIN_SCENE, "--set", "raster.backend=pyrender")
     yield scene_job(
-        "effects-draft", PRESET_SCENE, "--pipeline", "lightmap,gi,dof", "--quality", "draft"
+        "effects-draft",
+        PRESET_SCENE,
+        "--pipeline",
+        "lightmap,gi,dof",
+        "--quality",
+        "draft",
     )
     yield scene_job("workers", PLAIN_SCENE, "--workers", "2")
     yield scene_job("dask", PLAIN_SCENE, "--executor", "local:2")
     poses = ("--anchor", "plane", "--poses", "{scene}/poses.txt")
     yield scene_job("plane-poses", DEPTH_SCENE, *poses)
-    picture = ("--pattern", "{scene}/pattern.png:120mm", "--camera", "{scene}/camera.yaml")
+    picture = (
+        "--pattern",
+        "{scene}/pattern.png:120mm",
+        "--camera",
+        "{scene}/camera.yaml",
+    )
     model = ("--model", "{scene}/model.glb", "--fit", "13cm")
     yield Job("pattern", ("process", "{scene}/clip.mp4", *picture, *model), PLAIN_SCENE)
     wpi = REAL / "wpilibsuite-allwpilib"
@@ -120,7 +130,10 @@ def jobs() -> Iterator[Job]:
     )
     yield Job("batch", (*batch, "--json"), PLAIN_SCENE, whole=False)
     yield Job(
-        "plan", ("plan", "--config", "{scene}/job.toml", "--json"), PLAIN_SCENE, whole=False
+        "plan",
+        ("plan", "--config", "{scene}/job.toml", "--json"),
+        PLAIN_SCENE,
+        whole=False,
     )
     yield Job(
         "inspect", ("inspect", "{scene}/clip.mp4", "--json"), PLAIN_SCENE, whole=False
@@ -156,7 +169,9 @@ def jobs() -> Iterator[Job]:
     yield Job("error-setting", wrong, PLAIN_SCENE, whole=False)
 
 
-def run(tree: Path, arguments: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+def run(
+    tree: Path, arguments: list[str], folder: Path
+) -> subprocess.CompletedProcess[str]:
     """One call of the tree's arfx, at a fixed width of the terminal."""
     environment = {
         **os.environ,
@@ -176,7 +191,9 @@ def scene_folder(tree: Path, scene: str, clips: Path) -> Path:
         clips.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=clips) as work:
             description = tree / "sample_scenes" / scene / "scene.toml"
-            done = run(tree, ["synth", str(description), "-o", f"{work}/made", "-q"], clips)
+            done = run(
+                tree, ["synth", str(description), "-o", f"{work}/made", "-q"], clips
+            )
             if done.returncode:
                 raise SystemExit(f"{scene}: its clip could not be made: {done.stderr}")
             add_inputs(Path(work, "made"))
@@ -289,7 +306,9 @@ def main() -> int:
         nargs="*",
         help="make: names of jobs; compare: the folder of the other state",
     )
-    parser.add_argument("--tree", type=Path, default=ROOT, help="checkout whose code runs")
+    parser.add_argument(
+        "--tree", type=Path, default=ROOT, help="checkout whose code runs"
+    )
     parser.add_argument(
         "--clips", type=Path, default=Path(tempfile.gettempdir()) / "arfx-freeze-clips"
     )

@@ -82,7 +82,9 @@ def _apart(where: str, a: Any, b: Any) -> float | None:
         apart = abs(a - b)
         if isinstance(a, int) and isinstance(b, int) and not _PREDICTED.search(where):
             return float(apart)
-        return None if apart <= absolute + relative * max(abs(a), abs(b)) else float(apart)
+        return (
+            None if apart <= absolute + relative * max(abs(a), abs(b)) else float(apart)
+        )
     return None if a == b else float("inf")
 
 

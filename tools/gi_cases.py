@@ -86,7 +86,11 @@ class Case:
     sun: bool = False
 
 
-RED = {"baseColorFactor": (204, 30, 20, 255), "metallicFactor": 0.0, "roughnessFactor": 0.9}
+RED = {
+    "baseColorFactor": (204, 30, 20, 255),
+    "metallicFactor": 0.0,
+    "roughnessFactor": 0.9,
+}
 GREY = {
     "baseColorFactor": (150, 150, 150, 255),
     "metallicFactor": 0.0,

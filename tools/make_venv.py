@@ -251,7 +251,9 @@ def create() -> None:
     if runs(venv_python(), "-m", "ensurepip", "--upgrade", "--default-pip"):
         return
     print("make_venv: this Python has no ensurepip; fetching pip another way", flush=True)
-    if runs(sys.executable, "-m", "pip", "--python", venv_python(), "install", "-q", "pip"):
+    if runs(
+        sys.executable, "-m", "pip", "--python", venv_python(), "install", "-q", "pip"
+    ):
         return
     bootstrap_pip()
 

@@ -28,7 +28,9 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as `arfx` does, before numpy reads it
+os.environ.setdefault(
+    "OPENBLAS_NUM_THREADS", "1"
+)  # as `arfx` does, before numpy reads it
 
 import numpy as np
 
@@ -53,7 +55,9 @@ REAL: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 WITH_DEPTH = ("0001-orbit", "0003-several-tilted-markers", "0903-partial-occlusion")
 NOISE, HOLES, EDGE_PX = 0.004, 0.03, 1  # of that depth, as of scene 0022's
-APERTURE = 1 / 30  # of the picture's width, where a clip does not say how large its blur is
+APERTURE = (
+    1 / 30
+)  # of the picture's width, where a clip does not say how large its blur is
 SHIPPED = ROOT / "arfx" / "plan" / "default_errors.json"
 SAMPLES = 256  # paths a pixel of gi's reference: the noise of 64 is 2 levels on white
 WINDOW_PX = 8000  # of the pictures that are compared
@@ -90,7 +94,9 @@ def main() -> int:
     )
     given = parser.parse_args()
     given.output.mkdir(parents=True, exist_ok=True)
-    scenes = [p.parent.name for p in sorted((ROOT / "sample_scenes").glob("*/scene.toml"))]
+    scenes = [
+        p.parent.name for p in sorted((ROOT / "sample_scenes").glob("*/scene.toml"))
+    ]
     names = [*scenes, *(n for n, job in REAL.items() if job["input"]["clip"].is_file())]
     began = time.perf_counter()
     with ProcessPoolExecutor(
@@ -151,7 +157,9 @@ def measure_clip(
     usual = [n for n in job.stages if n in ALWAYS]
     for effects in (usual, *([n] for n in job.stages if n not in usual)):
         wanted = [
-            n for n in effects if len(job.stages[n].levels) > 1 and n in (stages or effects)
+            n
+            for n in effects
+            if len(job.stages[n].levels) > 1 and n in (stages or effects)
         ]
         for stage in wanted:
             rows.pop(stage, None)
@@ -192,7 +200,10 @@ def measured(
     found = measure(part, frames, lambda *_: None, wanted, window_px)
     rows: dict[str, Any] = {}
     for r in found.effects:
-        if r.level != LEFT_OUT and sum(d.pixels for d in r.by_frame.values()) >= FEWEST_PX:
+        if (
+            r.level != LEFT_OUT
+            and sum(d.pixels for d in r.by_frame.values()) >= FEWEST_PX
+        ):
             rows.setdefault(r.name, {})[r.level] = {
                 "error": r.average("mean"),
                 "seconds": r.seconds,
@@ -243,7 +254,9 @@ def planned(name: str, folder: Path) -> Job:
     inputs = open_inputs(load(files, more, parameters()))
     work = JobFolder(made / "job")
     work.open(resume=False)
-    return plan_job(inputs, work, Options(progress=lambda *_: None, notice=lambda _: None))
+    return plan_job(
+        inputs, work, Options(progress=lambda *_: None, notice=lambda _: None)
+    )
 
 
 Found = Mapping[
@@ -347,7 +360,9 @@ def table(found: Found, stages: Mapping[str, Sequence[str]]) -> str:
                     f" {1e3 * of[stage][level]['seconds']:.3g}"
                     for level in levels[:-1]
                 )
-                what = "; ".join(f"{level}: {why}" for level, why in bad[n, stage].items())
+                what = "; ".join(
+                    f"{level}: {why}" for level, why in bad[n, stage].items()
+                )
                 lines.append(f"| {n} | {' | '.join(cells)} | {what} |")
     return "\n".join(lines) + "\n"
 

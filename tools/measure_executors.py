@@ -113,7 +113,9 @@ def one_analysis(
         import cv2
 
         whole = stretches.stretch_at
-        stretches.stretch_at = lambda info, first_pts, alone: whole(info, first_pts, False)
+        stretches.stretch_at = lambda info, first_pts, alone: whole(
+            info, first_pts, False
+        )
         if workers == 1:
             cv2.setNumThreads(1)
     job.worker_count = lambda pixels, stated=None: (workers, threads)

@@ -77,7 +77,9 @@ def make_loop(path: Path, turned: bool) -> None:
         x, y = np.array([w, h]) / 2 * MARKER.size_m / 160
         corners = (
             camera()
-            .project(pose.apply(np.array([[-x, y, 0], [x, y, 0], [x, -y, 0], [-x, -y, 0]])))
+            .project(
+                pose.apply(np.array([[-x, y, 0], [x, y, 0], [x, -y, 0], [-x, -y, 0]]))
+            )
             .astype(np.float32)
         )
         source = np.array([[0, 0], [w, 0], [w, h], [0, h]], np.float32) - 0.5
@@ -162,7 +164,8 @@ def arguments(folder: Path, clip: Path, workers: int, more: list[str]) -> list[s
 
 def processor_s() -> float:
     own, started = (
-        resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+        resource.getrusage(who)
+        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     )
     return own.ru_utime + own.ru_stime + started.ru_utime + started.ru_stime
 
@@ -251,7 +254,8 @@ def run(
         "wall_s": time.perf_counter() - start,
     }
     rows = [
-        json.loads(line) for line in (folder / "job/timings.jsonl").read_text().splitlines()
+        json.loads(line)
+        for line in (folder / "job/timings.jsonl").read_text().splitlines()
     ]
     found["workers_mb"] = sorted(
         {
@@ -265,7 +269,9 @@ def run(
         for p in sorted((folder / "job").iterdir())
         if p.is_file()
     }
-    found["report_mb"] = sum(p.stat().st_size for p in (folder / "report").iterdir()) / 1e6
+    found["report_mb"] = (
+        sum(p.stat().st_size for p in (folder / "report").iterdir()) / 1e6
+    )
     return found
 
 
@@ -350,7 +356,8 @@ def table(found: list[dict[str, Any]], base: int) -> str:
     )
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return "\n".join(
-        "  ".join([r[0].ljust(widths[0]), *map(str.rjust, r[1:], widths[1:])]) for r in rows
+        "  ".join([r[0].ljust(widths[0]), *map(str.rjust, r[1:], widths[1:])])
+        for r in rows
     )
 
 

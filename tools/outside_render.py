@@ -81,7 +81,9 @@ def surround_with(path: Path) -> None:
     texture = nodes.new("ShaderNodeTexEnvironment")
     texture.image = bpy.data.images.load(str(path.resolve()))
     texture.image.colorspace_settings.name = "Linear Rec.709"
-    world.node_tree.links.new(texture.outputs["Color"], nodes["Background"].inputs["Color"])
+    world.node_tree.links.new(
+        texture.outputs["Color"], nodes["Background"].inputs["Color"]
+    )
     world.cycles.sampling_method = "MANUAL"
     world.cycles.sample_map_resolution = 1024
 
@@ -117,14 +119,19 @@ def picture() -> np.ndarray:
     """(h, w, 3) linear radiance, premultiplied by the coverage, of the scene as it stands."""
     path = Path(bpy.app.tempdir) / "picture.exr"
     render = bpy.context.scene.render
-    render.image_settings.file_format, render.image_settings.color_mode = "OPEN_EXR", "RGBA"
+    render.image_settings.file_format, render.image_settings.color_mode = (
+        "OPEN_EXR",
+        "RGBA",
+    )
     render.image_settings.color_depth = "32"
     render.filepath = str(path)
     bpy.ops.render.render(write_still=True)
     image = bpy.data.images.load(str(path))
     image.colorspace_settings.name = "Non-Color"
     image.alpha_mode = "CHANNEL_PACKED"
-    values = np.array(image.pixels[:], np.float32).reshape(image.size[1], image.size[0], 4)
+    values = np.array(image.pixels[:], np.float32).reshape(
+        image.size[1], image.size[0], 4
+    )
     bpy.data.images.remove(image)
     return values[::-1, :, :3]
 

@@ -85,7 +85,11 @@ def record(file: Path, arguments: list[str]) -> None:
         finally:
             here.depth -= 1
             if not here.depth and self.py_func.__module__.startswith("arfx."):
-                key = (self.py_func.__module__, self.py_func.__qualname__, signature(types))
+                key = (
+                    self.py_func.__module__,
+                    self.py_func.__qualname__,
+                    signature(types),
+                )
                 called.setdefault(key, round(time.thread_time() - start, 2))
 
     Dispatcher.compile = compile

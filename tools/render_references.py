@@ -20,7 +20,9 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-FOLDER = Path(__file__).parents[1] / "sample_scenes" / "0041-indirect-light" / "path-traced"
+FOLDER = (
+    Path(__file__).parents[1] / "sample_scenes" / "0041-indirect-light" / "path-traced"
+)
 RADIUS_M = 0.06
 FAR_M = 60.0
 BITS = 10  # of a channel: four steps a grey level, in the upper bits of a 16-bit PNG

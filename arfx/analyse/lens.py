@@ -42,7 +42,10 @@ _FAINT = 20.0  # light (of 255) across an edge
 _STRAY = 0.25  # share of the gradient's size that lies outside of the edge
 _ROUNDS = 10
 MOST_MOTION_PX = 3.0  # across a side from frame to frame
-_SIGMA_PX, _SIGMA_FRACTION = 0.06, 0.04  # of a measured blur: noise, and what is not a disc
+_SIGMA_PX, _SIGMA_FRACTION = (
+    0.06,
+    0.04,
+)  # of a measured blur: noise, and what is not a disc
 MIN_EDGES = 8
 MAX_CONDITION = 1e6  # of the normal matrix in scaled dioptres: float64 leaves 10 digits
 # residuals beyond this many standard deviations count linearly: motion blurs some frames
@@ -155,7 +158,9 @@ def with_lens(
     readings = [s for s in sides if s.transfer in (transfer, ANY)]
     fit = footage_lens(clip.facts, readings, markers, clip.world_from_marker)
     notice = (
-        None if fit.known else f"the lens cannot be measured from the footage: {fit.reason}"
+        None
+        if fit.known
+        else f"the lens cannot be measured from the footage: {fit.reason}"
     )
     return clip.adding(
         (f.with_(lens=fit) for f in clip.facts), notice, footage_lens=fit.to_json()

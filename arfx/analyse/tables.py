@@ -52,7 +52,9 @@ def rows_of(columns: Mapping[str, np.ndarray], kind: type, shift: int = 0) -> li
     for name, hint in _fields(kind):
         if _is_row(hint):
             first = f"{name}."
-            inner = {k[len(first) :]: v for k, v in columns.items() if k.startswith(first)}
+            inner = {
+                k[len(first) :]: v for k, v in columns.items() if k.startswith(first)
+            }
             values.append(rows_of(inner, hint))
         elif name + _SHAPES in columns:
             values.append(_arrays(columns[name], columns[name + _SHAPES]))

@@ -23,7 +23,12 @@ GRID = (13, 9)  # where the projection uncertainty is looked at
 GOOD, USABLE, POOR = "good", "usable", "poor"
 # how steeply, and how large in the picture, the next board is proposed
 NEXT_TILT_DEG, NEXT_FRACTION = 35.0, 0.45
-SIDES = ("right", "lower", "left", "upper")  # of the board, as `Coverage.azimuth_deg` turns
+SIDES = (
+    "right",
+    "lower",
+    "left",
+    "upper",
+)  # of the board, as `Coverage.azimuth_deg` turns
 
 
 class Limit(NamedTuple):
@@ -139,7 +144,9 @@ def figures(
     corners are nearly always extrapolated, and are reported apart."""
     width = fitted.camera.width
     projection_sd = (
-        float(np.quantile(projection_sd_px, 0.9)) if projection_sd_px.size else float("inf")
+        float(np.quantile(projection_sd_px, 0.9))
+        if projection_sd_px.size
+        else float("inf")
     )
     return {
         "views": float(len(fitted.views)),

@@ -61,7 +61,9 @@ class BoardSpec:
         """
         across, down = self.inner
         x, y = np.meshgrid(np.arange(across), np.arange(down))
-        return np.stack([x.ravel(), y.ravel(), np.zeros(across * down)], -1) * self.square_m
+        return (
+            np.stack([x.ravel(), y.ravel(), np.zeros(across * down)], -1) * self.square_m
+        )
 
     @property
     def turn_is_ambiguous(self) -> bool:

@@ -196,7 +196,9 @@ def _of_other_kinds(
             "a calibration belongs to one size and orientation: give those of one camera"
             " mode, held one way"
             + (
-                " (if they are, exiftool -Orientation=1 -n mends the tags)" if mixed else ""
+                " (if they are, exiftool -Orientation=1 -n mends the tags)"
+                if mixed
+                else ""
             ),
         )
     usual = words.pop(most[0])
@@ -282,4 +284,6 @@ def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
 
 
 def _first_names(names: Sequence[str]) -> str:
-    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+    return ", ".join(names[:5]) + (
+        f" and {len(names) - 5} more" if len(names) > 5 else ""
+    )

@@ -75,7 +75,9 @@ def find_view(gray: np.ndarray, spec: BoardSpec, name: str) -> View | None:
     board = spec.corners_m[ids]
     # least squares slope of pixel y on board y: does the board's y, down its rows, run
     # upwards in the picture?
-    rise = ((board[:, 1] - board[:, 1].mean()) * (pixels[:, 1] - pixels[:, 1].mean())).sum()
+    rise = (
+        (board[:, 1] - board[:, 1].mean()) * (pixels[:, 1] - pixels[:, 1].mean())
+    ).sum()
     return View(
         name,
         gray.shape[::-1],
@@ -110,7 +112,9 @@ def _refined(gray: np.ndarray, rough: np.ndarray, share: float) -> np.ndarray:
     rough = np.asarray(rough, np.float32).reshape(-1, 2)
     nearest = cKDTree(rough).query(rough, 2)[0][:, 1].min()
     half = int(np.clip(round(share * nearest), REFINE_MIN_PX, REFINE_MAX_PX))
-    return cv2.cornerSubPix(gray, rough.copy(), (half, half), (-1, -1), STOP).astype(float)
+    return cv2.cornerSubPix(gray, rough.copy(), (half, half), (-1, -1), STOP).astype(
+        float
+    )
 
 
 def _chessboard(gray: np.ndarray, spec: BoardSpec) -> _Corners | None:

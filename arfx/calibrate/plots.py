@@ -38,14 +38,22 @@ def _residuals(result: Calibration) -> Figure:
     scale = 0.03 * fitted.camera.width / max(float(np.quantile(lengths, 0.95)), 1e-6)
     arrows = misses * scale
     field.quiver(
-        *points.T, *arrows.T, lengths, angles="xy", scale_units="xy", scale=1, width=0.0015
+        *points.T,
+        *arrows.T,
+        lengths,
+        angles="xy",
+        scale_units="xy",
+        scale=1,
+        width=0.0015,
     )
     words = f"found minus predicted, {scale:.0f} x enlarged: rms {fitted.rms_px:.3f} px"
     _picture_axes(field, result, words)
     rows = np.arange(len(fitted.views))
     bars.barh(rows, result.chosen.held_out_px, color="0.75", label="held out")
     bars.barh(rows, fitted.view_rms_px, height=0.45, label="fitted")
-    bars.set_yticks(rows, [v.name for v in fitted.views], fontsize=min(8, 160 / len(rows)))
+    bars.set_yticks(
+        rows, [v.name for v in fitted.views], fontsize=min(8, 160 / len(rows))
+    )
     bars.invert_yaxis()
     bars.set_xlabel("rms per view, px")
     bars.legend()

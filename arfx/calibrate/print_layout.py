@@ -89,7 +89,9 @@ def parse_targets(texts: Sequence[str]) -> list[Target]:
             MarkerSpec.parse(
                 f"{m[1]}:{last}:{m[4]}"
             )  # a range that is too long fails here, before it is listed
-            out += [MarkerSpec.parse(f"{m[1]}:{i}:{m[4]}") for i in range(first, last + 1)]
+            out += [
+                MarkerSpec.parse(f"{m[1]}:{i}:{m[4]}") for i in range(first, last + 1)
+            ]
         else:
             out.append(MarkerSpec.parse(text))
     if any(isinstance(t, BoardSpec) for t in out) and len(out) > 1:
@@ -128,7 +130,8 @@ def lay_out(targets: Sequence[Target], page: str = "a4") -> Sheet:
     raise ConfigError(
         f"{len(prints)} of {w:g} x {h:g} mm, {white:.3g} mm white around, with labels and ruler"
         f" do not fit on {width:g} x {height:g} mm, nor across",
-        "print smaller or fewer" + (f", or --page {larger[0]} or larger" if larger else ""),
+        "print smaller or fewer"
+        + (f", or --page {larger[0]} or larger" if larger else ""),
     )
 
 
@@ -254,9 +257,13 @@ def _figure(sheet: Sheet, width_mm: float, height_mm: float) -> Any:
     axes.set(xlim=(0, width_mm), ylim=(height_mm, 0))
     axes.set_axis_off()
     for cells in sheet.cells:
-        outline = Outline.make_compound_path_from_polys(outlines(cells)[:, [0, 1, 2, 3, 0]])
+        outline = Outline.make_compound_path_from_polys(
+            outlines(cells)[:, [0, 1, 2, 3, 0]]
+        )
         axes.add_patch(
-            PathPatch(outline, facecolor="black", edgecolor="none", linewidth=0, snap=True)
+            PathPatch(
+                outline, facecolor="black", edgecolor="none", linewidth=0, snap=True
+            )
         )
     for x0, y0, x1, y1 in sheet.lines:
         axes.plot(

@@ -30,8 +30,12 @@ def overrides(options: Iterable[Given], texts: Sequence[str]) -> dict[str, Any]:
     for setting in settings_given:
         _set_value(tree, *setting)
     for path, value, words in options:
-        others = [said for key, _, said in settings_given if key[: len(path)] == list(path)]
-        if others and _meaning(path, value) != _meaning(path, reduce(getitem, path, tree)):
+        others = [
+            said for key, _, said in settings_given if key[: len(path)] == list(path)
+        ]
+        if others and _meaning(path, value) != _meaning(
+            path, reduce(getitem, path, tree)
+        ):
             raise ConfigError(
                 f"{words} and {others[-1]} give different values to {'.'.join(path)}",
                 "give one of them",

@@ -42,7 +42,10 @@ GONE: Mapping[tuple[str | int, ...], str] = {
         "watercolor",
         "line_hold",
     ): "lines hold still by themselves; a higher line_high steadies more",
-    ("watercolor", "line_smooth_px"): "it is 3 px; a higher line_low leaves fine lines out",
+    (
+        "watercolor",
+        "line_smooth_px",
+    ): "it is 3 px; a higher line_low leaves fine lines out",
     ("watercolor", "alpha"): _PRINTED.format(".5"),
     ("watercolor", "beta"): _PRINTED.format(".5"),
     ("watercolor", "yuv"): _PRINTED.format("bt601"),
@@ -51,6 +54,9 @@ GONE: Mapping[tuple[str | int, ...], str] = {
         "pigment",
     ): "set flow, grain, edge_darkening and wobble_px to 0 for flat cells",
     ("watercolor", "flow_px"): "it is 160 px; `flow` sets how strong the turbulence is",
-    ("watercolor", "grain_px"): "it is 2 px; `grain` sets how strong the paper's grain is",
+    (
+        "watercolor",
+        "grain_px",
+    ): "it is 2 px; `grain` sets how strong the paper's grain is",
     ("watercolor", "dry_brush"): "`grain` sets how much the paper shows, in lines too",
 }

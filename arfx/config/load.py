@@ -44,7 +44,9 @@ class JobFile(NamedTuple):
         """The message with file, line and key."""
         line = self.line or line_of(self.text, (*self.at, *path))
         place = f":{line}" if line else f": {'.'.join(map(str, path))}"
-        return f"{message}\n  --> {self.path}{place}" + (f"\nhelp: {hint}" if hint else "")
+        return f"{message}\n  --> {self.path}{place}" + (
+            f"\nhelp: {hint}" if hint else ""
+        )
 
 
 def load(
@@ -166,7 +168,9 @@ def read_job_file(file: Path, parameters: Parameters, kind: str = "job file") ->
     return JobFile(file, text, document)
 
 
-def locate_paths(document: Mapping[str, Any], folder: Path, parameters: Parameters) -> None:
+def locate_paths(
+    document: Mapping[str, Any], folder: Path, parameters: Parameters
+) -> None:
     """Paths in a job file are relative to its folder: make them so from here."""
     for section, tables in document.items():
         models = parameters.get(section, {}).values() or [section_models().get(section)]

@@ -34,7 +34,9 @@ def read_manifest(path: Path, parameters: Parameters) -> list[list[JobFile]]:
     """The files of each job, for `load`: what all share, job files that the job names as
     `config`, and last its own settings. Paths are from the manifest's folder. Raises
     ConfigError with the problems of all rows, InputError where it cannot be read."""
-    shared, raw = _toml(path, parameters) if path.suffix.lower() == ".toml" else _csv(path)
+    shared, raw = (
+        _toml(path, parameters) if path.suffix.lower() == ".toml" else _csv(path)
+    )
     options = {s.name: s for s in settings() if s.flags and bool not in s.kinds}
     rows, problems = [], []
     for row in raw:
@@ -43,7 +45,9 @@ def read_manifest(path: Path, parameters: Parameters) -> list[list[JobFile]]:
         except ConfigError as e:
             problems.append(e.message)
     if not raw:
-        what = "[[job]] table" if path.suffix.lower() == ".toml" else "row below its heads"
+        what = (
+            "[[job]] table" if path.suffix.lower() == ".toml" else "row below its heads"
+        )
         problems.append(
             f"manifest {path} holds no {what}\nhelp: each names at least a clip; a job file"
             " is given with --config"

@@ -65,7 +65,9 @@ class InputSection(Settings):
         "--poses FILE",
     )
     depth: Path | None = setting(
-        None, "Real depth: maps (16-bit PNG, PGM, EXR, TIFF), video (FFV1).", "--depth PATH"
+        None,
+        "Real depth: maps (16-bit PNG, PGM, EXR, TIFF), video (FFV1).",
+        "--depth PATH",
     )
     depth_scale: float | None = setting(
         None,
@@ -136,7 +138,9 @@ class ModelSection(Settings):
         None, "Scale the model's largest extent to this length: 15cm.", "--fit SIZE"
     )
     rotate: Annotated[tuple[Turn, Turn, Turn], BeforeValidator(_three)] = setting(
-        (0.0, 0.0, 0.0), "Degrees about the marker's axes, in this order.", "--rotate X,Y,Z"
+        (0.0, 0.0, 0.0),
+        "Degrees about the marker's axes, in this order.",
+        "--rotate X,Y,Z",
     )
     offset: Annotated[tuple[Length, Length, Length], BeforeValidator(_three)] = setting(
         (0.0, 0.0, 0.0),

@@ -130,7 +130,10 @@ class Camera(Document):
         yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y + r2 * (s3 + r2 * s4)
         if tx or ty:
             h = _tilt(tx, ty) @ np.stack([xd, yd, np.ones_like(xd)], -1)[..., None]
-            xd, yd = divide(h[..., 0, 0], h[..., 2, 0]), divide(h[..., 1, 0], h[..., 2, 0])
+            xd, yd = (
+                divide(h[..., 0, 0], h[..., 2, 0]),
+                divide(h[..., 1, 0], h[..., 2, 0]),
+            )
         return np.stack([xd, yd], -1)
 
     def undistort(self, xy: np.ndarray) -> np.ndarray:
@@ -162,7 +165,9 @@ class Camera(Document):
     def stretch(self, xy: np.ndarray) -> np.ndarray:
         """(..., 2, 2) change of `distort` with ideal coordinates (..., 2): central differences."""
         h = 1e-6
-        ends = [self.distort(xy + axis) - self.distort(xy - axis) for axis in h * np.eye(2)]
+        ends = [
+            self.distort(xy + axis) - self.distort(xy - axis) for axis in h * np.eye(2)
+        ]
         return np.stack(ends, -1) / (2 * h)
 
     def _newton(self, target: np.ndarray) -> np.ndarray:
@@ -238,7 +243,10 @@ class Camera(Document):
 
     @staticmethod
     def guess(
-        width: int, height: int, horizontal_fov_deg: float = 65.0, pixel_aspect: float = 1.0
+        width: int,
+        height: int,
+        horizontal_fov_deg: float = 65.0,
+        pixel_aspect: float = 1.0,
     ) -> Camera:
         """A pinhole with a typical phone's field of view along the long side as displayed;
         `guessed` is set.

@@ -88,8 +88,9 @@ class CacheLocator:
     @classmethod
     def from_function(cls, py_func: FunctionType, py_file: str) -> CacheLocator | None:
         _take_damaged_files_for_stale()
-        ours = py_func.__module__.partition(".")[0] in _PACKAGES and os.path.exists(py_file)  # noqa: PTH110
-        return cls(py_func, py_file) if ours else None
+        ours = py_func.__module__.partition(".")[0] in _PACKAGES
+        there = os.path.exists(py_file)  # noqa: PTH110
+        return cls(py_func, py_file) if ours and there else None
 
     def get_cache_path(self) -> str:
         return str(code_folder(Path(self._file).parent))
@@ -207,7 +208,9 @@ def _open_to_others(place: Path) -> bool:
         return False
     status, above = place.stat(), place.parent.stat()
     alone = {os.getgid()} if os.getuid() == os.getgid() else set()
-    shared = [s.st_mode & (0o002 if s.st_gid in alone else 0o022) for s in (status, above)]
+    shared = [
+        s.st_mode & (0o002 if s.st_gid in alone else 0o022) for s in (status, above)
+    ]
     replaceable = shared[1] and not above.st_mode & stat.S_ISVTX
     owners = {0, os.getuid(), Path(__file__).stat().st_uid}
     return bool(shared[0] or replaceable or status.st_uid not in owners)

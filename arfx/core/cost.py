@@ -52,7 +52,9 @@ class Prediction:
         return {"s": self.seconds, "low_s": self.low_s, "high_s": self.high_s}
 
     def times(self, factor: float) -> Prediction:
-        return Prediction(self.seconds * factor, self.low_s * factor, self.high_s * factor)
+        return Prediction(
+            self.seconds * factor, self.low_s * factor, self.high_s * factor
+        )
 
 
 def measured(seconds: float) -> Prediction:
@@ -90,7 +92,8 @@ class Price(Document):
     def __post_init__(self) -> None:
         """Raises ValueError for what is no price."""
         if not all(
-            t in TERMS and math.isfinite(c) and c >= 0 for t, c in self.coefficients.items()
+            t in TERMS and math.isfinite(c) and c >= 0
+            for t, c in self.coefficients.items()
         ):
             raise ValueError("a price of unknown terms, or below 0")
 

@@ -46,7 +46,9 @@ def solid_angles(size: int) -> np.ndarray:
     t = np.arange(size + 1) / size * 2 - 1
     v, u = np.meshgrid(t, t, indexing="ij")
     corner = np.arctan2(u * v, np.sqrt(u * u + v * v + 1))
-    out: np.ndarray = corner[1:, 1:] - corner[1:, :-1] - corner[:-1, 1:] + corner[:-1, :-1]
+    out: np.ndarray = (
+        corner[1:, 1:] - corner[1:, :-1] - corner[:-1, 1:] + corner[:-1, :-1]
+    )
     out.setflags(write=False)
     return out
 
@@ -59,7 +61,11 @@ def on_cube(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     major = np.take_along_axis(directions, axis[:, None], 1)[:, 0]
     x, y, z = divide(directions, np.abs(major)[:, None]).T
     # rows and columns of faces +-x are y, -z; of +-y x, -z; of +-z x, y
-    return 2 * axis + (major < 0), np.choose(axis, [-z, x, x]), np.choose(axis, [y, -z, y])
+    return (
+        2 * axis + (major < 0),
+        np.choose(axis, [-z, x, x]),
+        np.choose(axis, [y, -z, y]),
+    )
 
 
 def _between_texels(size: int, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -27,7 +27,9 @@ class Guard:
     replaced unasked
     """
 
-    def __init__(self, reads: Iterable[tuple[str, Path]], overwrite: bool = False) -> None:
+    def __init__(
+        self, reads: Iterable[tuple[str, Path]], overwrite: bool = False
+    ) -> None:
         self.overwrite = overwrite
         self.own: frozenset[Fingerprint] = frozenset()
         self._reads = {_real(path): what for what, path in reads}
@@ -37,7 +39,11 @@ class Guard:
         self._by_identity.pop(None, None)
 
     def file(
-        self, path: Path, start: bytes = b"", option: str = "-o", folder_made: bool = False
+        self,
+        path: Path,
+        start: bytes = b"",
+        option: str = "-o",
+        folder_made: bool = False,
     ) -> None:
         """A file to write. start : how those of arfx begin; one that begins otherwise is
         not replaced at all.
@@ -51,7 +57,9 @@ class Guard:
         if not os.path.lexists(path):
             return
         if path.is_dir() or not (path.is_file() or path.is_symlink()):
-            raise ConfigError(f"output {path} is not a file", f"name another with {option}")
+            raise ConfigError(
+                f"output {path} is not a file", f"name another with {option}"
+            )
         if not (
             self._may_replace(path) or (start and self.own)
         ):  # a report that was begun behind the output is the job's too
@@ -65,7 +73,9 @@ class Guard:
                 f"name another place with {option}",
             )
 
-    def files(self, folder: Path, starts: Mapping[str, bytes], option: str = "-o") -> None:
+    def files(
+        self, folder: Path, starts: Mapping[str, bytes], option: str = "-o"
+    ) -> None:
         """Files of these names in a folder that is made where there is none.
 
         starts : as in `file`
@@ -150,7 +160,8 @@ def check_file_name(path: Path, option: str = "-o") -> None:
                 else f"{str(path)[:60]}…{str(path)[-30:]}"
             )
             raise ConfigError(
-                f"the name {name} is too long for this disk", f"a shorter one with {option}"
+                f"the name {name} is too long for this disk",
+                f"a shorter one with {option}",
             ) from None
     except ValueError as e:
         raise ConfigError(

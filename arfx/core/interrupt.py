@@ -108,7 +108,11 @@ def exit_code() -> int:
     """0 = none came in time; 130 for Ctrl-C, 143 for SIGTERM, 129 for SIGHUP."""
     return (
         128
-        + (_now.number if _now.number != getattr(signal, "SIGBREAK", 0) else signal.SIGINT)
+        + (
+            _now.number
+            if _now.number != getattr(signal, "SIGBREAK", 0)
+            else signal.SIGINT
+        )
         if pending()
         else 0
     )

@@ -59,7 +59,9 @@ class Light(Document):
         n = np.asarray(normals, float)
         out = self.soft_radiance(n)
         for li in self.lights:
-            out = out + np.clip(n @ li.unit, 0, None)[..., None] * np.asarray(li.rgb, float)
+            out = out + np.clip(n @ li.unit, 0, None)[..., None] * np.asarray(
+                li.rgb, float
+            )
         return out
 
     def soft_radiance(self, normals: np.ndarray) -> np.ndarray:
@@ -84,7 +86,9 @@ class Light(Document):
             * factor
         )
         ambient, *rgb = map(tuple, rows.tolist())
-        lights = tuple(replace(li, rgb=c) for li, c in zip(self.lights, rgb, strict=False))
+        lights = tuple(
+            replace(li, rgb=c) for li, c in zip(self.lights, rgb, strict=False)
+        )
         return Light(ambient, lights, self.source, tuple(rgb[len(lights) :]))
 
     def turned(self, rotation: np.ndarray) -> Light:

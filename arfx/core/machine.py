@@ -49,7 +49,9 @@ def _cpuinfo(name: str) -> str:
     """What Linux says of the first core; "" elsewhere."""
     try:
         lines = (
-            Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+            Path("/proc/cpuinfo")
+            .read_text(encoding="utf-8", errors="replace")
+            .splitlines()
         )
     except OSError:
         return ""
@@ -94,10 +96,14 @@ def cache_folder() -> Path:
     RuntimeError where the user has no home.
     """
     home = Path.home()
-    by_system = {"win32": home / "AppData" / "Local", "darwin": home / "Library" / "Caches"}
+    by_system = {
+        "win32": home / "AppData" / "Local",
+        "darwin": home / "Library" / "Caches",
+    }
     return (
         Path(
-            os.environ.get("XDG_CACHE_HOME") or by_system.get(sys.platform, home / ".cache")
+            os.environ.get("XDG_CACHE_HOME")
+            or by_system.get(sys.platform, home / ".cache")
         )
         / "arfx"
     )

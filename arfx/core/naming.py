@@ -8,7 +8,10 @@ from pathlib import Path
 from arfx.errors import ConfigError
 
 # field -> what it stands for; "{{" and "}}" are braces
-FIELDS = {"stem": "the clip's name without its ending", "parent": "the name of its folder"}
+FIELDS = {
+    "stem": "the clip's name without its ending",
+    "parent": "the name of its folder",
+}
 _BRACES = re.compile(r"\{\{|\}\}|\{([^{}]*)\}|[{}]")
 
 

@@ -51,10 +51,14 @@ def arccos(c: np.ndarray | float) -> np.ndarray:
 def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Angle in radians between vectors (..., 3), accurate near 0 and pi (Kahan's atan2 form)."""
     a, b = normalise(np.asarray(a, float)), normalise(np.asarray(b, float))
-    return 2.0 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
+    return 2.0 * np.arctan2(
+        np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1)
+    )
 
 
-def direction_of(azimuth: np.ndarray | float, elevation: np.ndarray | float) -> np.ndarray:
+def direction_of(
+    azimuth: np.ndarray | float, elevation: np.ndarray | float
+) -> np.ndarray:
     """Unit vectors (..., 3) of angles in radians: from x towards y, and from there towards z."""
     flat = np.cos(elevation)
     xyz = flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)

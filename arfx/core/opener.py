@@ -69,7 +69,9 @@ def printable(text: str) -> str:
     """Text with what is no character, and what terminals obey, written as numbers; line
     ends and tabs stay.
     """
-    return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+    return _UNPRINTABLE.sub(
+        lambda found: found[0].encode("unicode_escape").decode(), text
+    )
 
 
 def regular(path: Path | str, kind: str) -> Path:
@@ -118,7 +120,9 @@ def read_bytes(path: Path | str, kind: str) -> bytes:
             _check_status(status, path, kind)
             data = f.read(status.st_size + 1)
             while (
-                len(data) > status.st_size and len(data) <= limit and (more := f.read(MIB))
+                len(data) > status.st_size
+                and len(data) <= limit
+                and (more := f.read(MIB))
             ):
                 data += (
                     more  # it grows, or is one of /proc, which say that they hold nothing

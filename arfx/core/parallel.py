@@ -20,7 +20,8 @@ T = TypeVar("T")
 # the environment of one of several processes: one thread for its kernels, its matrices and
 # its software rendering each
 ONE_THREAD = dict.fromkeys(
-    ("LP_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"
+    ("LP_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"),
+    "1",
 )
 BANDS = 4
 _NAME = "parallel"

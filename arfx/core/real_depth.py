@@ -36,7 +36,11 @@ class RealDepth(Document):
 
     @staticmethod
     def of(
-        map: int, scale: float, digest: str, tiles: np.ndarray, noise: float = TYPICAL_NOISE
+        map: int,
+        scale: float,
+        digest: str,
+        tiles: np.ndarray,
+        noise: float = TYPICAL_NOISE,
     ) -> RealDepth:
         """tiles : of `tile_ranges`, which are made a little wider, to what float16 can hold"""
         low = np.nextafter(tiles[0].astype(np.float16), np.float16(0))
@@ -79,7 +83,9 @@ def tile_ranges(depth_m: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
     whole = tiles(known, np.logical_and)
     least, most = tiles(dioptre, np.minimum), tiles(dioptre, np.maximum)
-    return np.stack([np.where(whole, least, low), np.where(whole, most, high)]).astype("f4")
+    return np.stack([np.where(whole, least, low), np.where(whole, most, high)]).astype(
+        "f4"
+    )
 
 
 @dataclass(frozen=True, eq=False)

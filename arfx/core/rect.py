@@ -46,7 +46,9 @@ class Rect(Plain):
 
     def pad(self, n: int) -> Rect:
         return (
-            self if self.empty else Rect(self.x0 - n, self.y0 - n, self.x1 + n, self.y1 + n)
+            self
+            if self.empty
+            else Rect(self.x0 - n, self.y0 - n, self.x1 + n, self.y1 + n)
         )
 
     def clip(self, other: Rect) -> Rect:

@@ -110,7 +110,9 @@ def flatten(model: Model, world_from_model: np.ndarray) -> SceneMesh:
     return SceneMesh(
         centre_m=centre,
         vertices=vertices,
-        normals=np.concatenate([p.normals @ rotation.T for p in parts]).astype(np.float32),
+        normals=np.concatenate([p.normals @ rotation.T for p in parts]).astype(
+            np.float32
+        ),
         colours=_rows([p.colours for p in parts], np.ones(4), counts).astype(np.float32),
         uv=np.column_stack([first_uv, second_uv]).astype(np.float32),
         has_uv=np.array([(p.uv is not None, p.second_uv is not None) for p in parts]),

@@ -50,7 +50,9 @@ def setting(
 
 def listed(value: Any) -> Any:
     """A list as it is written after an option."""
-    return [part.strip() for part in value.split(",")] if isinstance(value, str) else value
+    return (
+        [part.strip() for part in value.split(",")] if isinstance(value, str) else value
+    )
 
 
 def converted(settings: Settings, kind: type[Settings], **changes: Any) -> Any:

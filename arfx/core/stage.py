@@ -143,7 +143,9 @@ class Stage:
     def __init_subclass__(cls) -> None:
         if not issubclass(cls.Params, Settings):
             cls.Params = from_dataclass(cls.Params)
-        missing = [n for n in ("name", "run") if getattr(cls, n, None) in (None, Stage.run)]
+        missing = [
+            n for n in ("name", "run") if getattr(cls, n, None) in (None, Stage.run)
+        ]
         if missing:
             raise TypeError(f"stage {cls.__qualname__} lacks {', '.join(missing)}")
         if not cls.levels or cls.levels != tuple(n for n in LEVELS if n in cls.levels):

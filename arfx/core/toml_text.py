@@ -33,7 +33,9 @@ def line_of(text: str, path: KeyPath) -> int:
     or 0 if none. Knows tables, arrays of tables and dotted keys, which is what job files
     hold; a key inside an inline table is found at the line of that table."""
     lines = _key_lines(text)
-    return next((lines[path[:n]] for n in range(len(path), 0, -1) if path[:n] in lines), 0)
+    return next(
+        (lines[path[:n]] for n in range(len(path), 0, -1) if path[:n] in lines), 0
+    )
 
 
 @lru_cache(maxsize=4)  # a manifest is asked for every row that is wrong

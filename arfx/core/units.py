@@ -39,7 +39,9 @@ def time_s(text: str, what: str = "time") -> float:
     if m := re.fullmatch(r"(?:(\d+):)?(\d+):(\d+(?:\.\d+)?)", t):
         value = float(m[1] or 0) * 3600 + float(m[2]) * 60 + float(m[3])
     elif m := re.fullmatch(r"(\d+\.?\d*|\.\d+)\s*(ms|s|min|h)?", t):
-        value = float(m[1]) * {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}[m[2] or "s"]
+        value = (
+            float(m[1]) * {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}[m[2] or "s"]
+        )
     if not value <= MAX_TIME_S:
         shown = text if len(text) <= 40 else f"{text[:40]}…"
         raise ConfigError(

@@ -62,7 +62,8 @@ def run_batch(
         finally:
             document = _document(rows)
             write(
-                home / "batch.json", json.dumps(document, indent=1, allow_nan=False) + "\n"
+                home / "batch.json",
+                json.dumps(document, indent=1, allow_nan=False) + "\n",
             )
             write(home / "batch.html", page(rows, len(jobs), home))
     return document

@@ -62,7 +62,9 @@ class Cell:
 
     def terms(self, facts: FrameFacts | None = None) -> dict[str, float]:
         """Of its price (`arfx.plan.planner.terms_of`)."""
-        return terms_of(self.run.need(self.out), facts or self.run.facts, self.run.at.scene)
+        return terms_of(
+            self.run.need(self.out), facts or self.run.facts, self.run.at.scene
+        )
 
     @property
     def done(self) -> bool:
@@ -75,7 +77,8 @@ class Cell:
         camera = self.frame.prepared.scene.camera
         name, best = self.stage.name, self.stage.levels[-1]
         ms, yardstick_ms = (
-            1e3 * float(np.median(seconds)) for seconds in (self.seconds, self.yardstick_s)
+            1e3 * float(np.median(seconds))
+            for seconds in (self.seconds, self.yardstick_s)
         )
         return {
             "stage": name,
@@ -155,7 +158,10 @@ def make_cells(at: BenchScene, stage: str | None, level: str | None) -> list[Cel
 
 
 def _cells(
-    at: BenchScene, stages: Mapping[str, Stage], wanted: Collection[str], level: str | None
+    at: BenchScene,
+    stages: Mapping[str, Stage],
+    wanted: Collection[str],
+    level: str | None,
 ) -> list[Cell]:
     """Of the stages with these names; none where the scene does not call for them."""
     standard = {name: level_named(s.levels, "standard") for name, s in stages.items()}

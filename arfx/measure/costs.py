@@ -273,7 +273,9 @@ def textured_ball(longitudes: int, latitudes: int) -> Model:
     noise[..., 3] = 255
     texture = Texture(noise)
     # along the picture's rows, to the east
-    east = np.stack([-one.normals[:, 1], one.normals[:, 0], np.zeros(len(one.normals))], -1)
+    east = np.stack(
+        [-one.normals[:, 1], one.normals[:, 0], np.zeros(len(one.normals))], -1
+    )
     tangents = np.column_stack([normalise(east), np.ones(len(east))])
     names = ("base", "metallic_roughness", "emissive", "normal", "occlusion")
     textures: dict[str, Any] = {f"{name}_texture": texture for name in names}

@@ -148,7 +148,9 @@ def write_clip(path: Path, width: int, height: int, frames: int) -> Path:
         for i in range(frames):
             t = i / 30
             move = np.array(
-                cv2.getRotationMatrix2D((width / 20, height / 20), 15 + 2 * np.sin(t), 10),
+                cv2.getRotationMatrix2D(
+                    (width / 20, height / 20), 15 + 2 * np.sin(t), 10
+                ),
                 float,
             )
             move[:, 2] += 0.4 * np.array([width, height]) + 0.02 * width * np.array(

@@ -19,9 +19,8 @@ import numpy as np
 from arfx.core.rect import Rect
 
 TOUCHED = 0.5  # grey levels: less than this is not a change
-PIXELS_PER_DEGREE = (
-    67.02  # a 0.7 m wide display of 3840 pixels seen from 0.7 m, FLIP's published standard
-)
+# a 0.7 m wide display of 3840 pixels seen from 0.7 m, FLIP's published standard
+PIXELS_PER_DEGREE = 67.02
 # Widest of FLIP's filters at that distance: contrast sensitivity of blue-yellow, 3 sqrt(b /
 # 2 pi^2) ppd = 9.05 px, rounded up.
 MARGIN_PX = 10
@@ -48,7 +47,9 @@ def level_difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def touched(*pairs: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """(h, w) bool: pixels in which any of the pairs differs."""
-    return np.asarray(np.any([level_difference(a, b) > TOUCHED for a, b in pairs], axis=0))
+    return np.asarray(
+        np.any([level_difference(a, b) > TOUCHED for a, b in pairs], axis=0)
+    )
 
 
 def difference(reference: np.ndarray, test: np.ndarray, where: np.ndarray) -> Difference:
@@ -87,7 +88,9 @@ def flip_map(reference: np.ndarray, test: np.ndarray) -> np.ndarray:
         np.ascontiguousarray(p.astype(np.float32) / np.float32(255))
         for p in (reference, test)
     )
-    error = nbflip.evaluate(a, b, False, True, False, False, {"ppd": PIXELS_PER_DEGREE})[0]
+    error = nbflip.evaluate(a, b, False, True, False, False, {"ppd": PIXELS_PER_DEGREE})[
+        0
+    ]
     return np.ascontiguousarray(error[..., 0], np.float32)
 
 
@@ -106,7 +109,9 @@ def ssim_map(reference: np.ndarray, test: np.ndarray) -> np.ndarray:
 
     half = 5  # of its window, a Gaussian of 1.5 px
     grey = [
-        np.pad(cv2.cvtColor(np.ascontiguousarray(p), cv2.COLOR_RGB2GRAY), half, mode="edge")
+        np.pad(
+            cv2.cvtColor(np.ascontiguousarray(p), cv2.COLOR_RGB2GRAY), half, mode="edge"
+        )
         for p in (reference, test)
     ]
     found = structural_similarity(

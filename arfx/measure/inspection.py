@@ -219,7 +219,9 @@ def confirmed(found: dict[str, Found]) -> tuple[list[Found], list[Found]]:
         else:
             left_out.append((m, better))
     for some in (kept, [m for m, _ in left_out]):
-        highest = {m.family: max(k.id for k in some if k.family == m.family) for m in some}
+        highest = {
+            m.family: max(k.id for k in some if k.family == m.family) for m in some
+        }
         for m in some:
             m.family = smallest_family(m.family, highest[m.family])
     for m, better in left_out:
@@ -243,7 +245,9 @@ def _same_place(m: Found, better: Found) -> bool:
 
 def _inside(quad: np.ndarray, other: np.ndarray) -> bool:
     x, y = quad.mean(0)
-    return cv2.pointPolygonTest(other.astype(np.float32), (float(x), float(y)), False) >= 0
+    return (
+        cv2.pointPolygonTest(other.astype(np.float32), (float(x), float(y)), False) >= 0
+    )
 
 
 def _spread(values: Sequence[float]) -> dict[str, float] | None:
@@ -294,8 +298,12 @@ def suggestion(document: dict[str, Any], clip: Path, camera: Path | None) -> str
     found = document["markers"]
     sizes = zip(found, size_names(found), strict=True)
     markers = [f"--marker {m['marker']}:{size}" for m, size in sizes]
-    files = f"{shlex.quote(str(clip))} --camera {shlex.quote(str(camera or 'camera.yaml'))}"
+    files = (
+        f"{shlex.quote(str(clip))} --camera {shlex.quote(str(camera or 'camera.yaml'))}"
+    )
     if not markers:
         return ""
     out = "out.png" if document["clip"]["container"] == PHOTO else "out.mp4"
-    return f"arfx process {files} {' '.join(markers)} --model MODEL.glb --fit 15cm -o {out}"
+    return (
+        f"arfx process {files} {' '.join(markers)} --model MODEL.glb --fit 15cm -o {out}"
+    )

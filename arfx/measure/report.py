@@ -142,7 +142,9 @@ def _camera_and_cubes(
         for k, v in report["pose"].get("world_from_marker", {}).items()
         if k in specs
     }
-    heights = {k: np.repeat([[0, 0, 0], [0, 0, specs[k].size_m]], 4, axis=0) for k in poses}
+    heights = {
+        k: np.repeat([[0, 0, 0], [0, 0, specs[k].size_m]], 4, axis=0) for k in poses
+    }
     cubes = [
         pose.apply(np.tile(specs[k].corners_m, (2, 1)) + heights[k])
         for k, pose in poses.items()

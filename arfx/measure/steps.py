@@ -32,7 +32,9 @@ from arfx.stages import RENDERER
 NEAR_PX = 16
 MOST_KEPT = 40
 SLOW_S = 1.0  # a step that took longer is always kept
-Chain = tuple[tuple[Stage, str], ...]  # levels in running order; a stage left out is absent
+Chain = tuple[
+    tuple[Stage, str], ...
+]  # levels in running order; a stage left out is absent
 
 
 @dataclass
@@ -159,7 +161,9 @@ class FrameRenderer:
             stage = self.stages[later]
             part = want.clip(planned[later])
             if not part.empty:
-                need = stage.needs(part, self.facts, self.prepared.scene, stage.levels[-1])
+                need = stage.needs(
+                    part, self.facts, self.prepared.scene, stage.levels[-1]
+                )
                 # the renderer takes the real frame alone from far away
                 near = need.clip(part.pad(NEAR_PX)) if later in RENDERER else need
                 want = want.union(near)

@@ -38,7 +38,10 @@ class Stopwatch:
     concurrency: int = 1
 
     def of(self, work: Callable[[], Any]) -> float:
-        clock, compiling = time.process_time if self.processor else time.perf_counter, [0.0]
+        clock, compiling = (
+            time.process_time if self.processor else time.perf_counter,
+            [0.0],
+        )
         start = clock()
         with install_timer("numba:compile", compiling.append):
             work()

@@ -26,7 +26,9 @@ TIMES, MOST_DELTA_E = 8, 10
 MOST_BYTES = 5_000_000
 
 
-def write_tradeoff(folder: Path, found: Measurements, document: Mapping[str, Any]) -> Path:
+def write_tradeoff(
+    folder: Path, found: Measurements, document: Mapping[str, Any]
+) -> Path:
     """Write tradeoff.html into `folder`; at most MOST_BYTES: pictures are coded coarser
     until it fits. Returns its path.
     """

@@ -53,7 +53,9 @@ class Row:
         if not sum(weights):
             return float(getattr(Difference(), what))
         return float(
-            np.average([getattr(d, what) for d in self.by_frame.values()], weights=weights)
+            np.average(
+                [getattr(d, what) for d in self.by_frame.values()], weights=weights
+            )
         )
 
     def total(self) -> float:

@@ -49,7 +49,11 @@ def pose_errors(
     camera = Camera.from_json(truth.header["camera"])
     corners_m = MarkerSpec("", 0, size_m).corners_m
     n = len(truth.frames)
-    rotation, position, mirrored = np.full(n, np.nan), np.full(n, np.nan), np.zeros(n, bool)
+    rotation, position, mirrored = (
+        np.full(n, np.nan),
+        np.full(n, np.nan),
+        np.zeros(n, bool),
+    )
     error, projected = np.full((n, 4, 2), np.nan), np.full((n, 4, 2), np.nan)
     shots = np.array([f.shot for f in truth.frames])
     for i, (estimate, frame) in enumerate(zip(estimates, truth.frames, strict=True)):
@@ -196,7 +200,9 @@ def compare(
         "presence": presence(facts, truth, list(truth.header["markers"])),
         "cuts": cuts(facts, truth),
         "single_frame": (
-            None if single_frame is None else pose_errors(single_frame, truth, world, size)
+            None
+            if single_frame is None
+            else pose_errors(single_frame, truth, world, size)
         ),
         "map": map_errors(world_from_marker, truth, world),
         "light": light_errors(facts, world_from_marker, truth),
@@ -233,7 +239,9 @@ def exceeded(
                 if value != limit:
                     broken.append(f"{dotted} is {value!r}, it should be {limit!r}")
             elif value is None:
-                broken.append(f"{dotted}: there is no such figure, its bound is {limit:g}")
+                broken.append(
+                    f"{dotted}: there is no such figure, its bound is {limit:g}"
+                )
             elif not (value <= limit if kind == "max" else value >= limit):
                 bound = "at most" if kind == "max" else "at least"
                 broken.append(f"{dotted} is {value:.4g}, {bound} {limit:g} is allowed")

@@ -86,12 +86,18 @@ def verify(
         work / "out.mkv"
     )  # lossless, so that what is judged does not depend on an encoder's settings
     config = load(
-        made / "job.toml", {"output": {"path": str(output), "codec": "ffv1"}}, parameters()
+        made / "job.toml",
+        {"output": {"path": str(output), "codec": "ffv1"}},
+        parameters(),
     )
     report = process(
         config,
         Options(
-            work / "job", overwrite=True, workers=workers, progress=progress, notice=notice
+            work / "job",
+            overwrite=True,
+            workers=workers,
+            progress=progress,
+            notice=notice,
         ),
     )
     interrupt.resume()
@@ -132,7 +138,9 @@ def read_tolerance(folder: Path) -> dict[str, Any]:
         raise ConfigError(f"{path} is not TOML: {e}") from None
 
 
-def single_frame_poses(clip: Path, camera: Camera, marker: MarkerSpec) -> list[Pose | None]:
+def single_frame_poses(
+    clip: Path, camera: Camera, marker: MarkerSpec
+) -> list[Pose | None]:
     """What plain OpenCV finds, frame by frame: whole-frame detection with sub-pixel
     corners, IPPE, the better solution.
 
@@ -148,7 +156,10 @@ def single_frame_poses(clip: Path, camera: Camera, marker: MarkerSpec) -> list[P
 
 
 def _pose(
-    detector: cv2.aruco.ArucoDetector, luma: np.ndarray, camera: Camera, marker: MarkerSpec
+    detector: cv2.aruco.ArucoDetector,
+    luma: np.ndarray,
+    camera: Camera,
+    marker: MarkerSpec,
 ) -> Pose | None:
     corners, ids, _ = detector.detectMarkers(luma)
     for found, number in zip(

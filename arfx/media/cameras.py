@@ -102,7 +102,9 @@ def _from_names(document: Mapping[str, Any], where: str) -> Camera:
             f"supported: {SUPPORTED}",
         )
     if matrix.size != 9:
-        raise _error(where, f"the camera matrix has {matrix.size} numbers", "9, row by row")
+        raise _error(
+            where, f"the camera matrix has {matrix.size} numbers", "9, row by row"
+        )
     given = _first(flat, DISTORTION_NAMES)
     distortion = _numbers(given, where, "the distortion coefficients")
     word = str(_first(flat, MODEL_NAMES) or "")
@@ -292,7 +294,9 @@ def _check(camera: Camera) -> None:
         what = f"the camera matrix has skew {m[0, 1]:g}"
         raise _error(where, what, "calibrate without skew")
     if abs(m[1, 0]) > off:
-        raise _error(where, f"the camera matrix holds {m[1, 0]:g} where 0 belongs", _SHAPE)
+        raise _error(
+            where, f"the camera matrix holds {m[1, 0]:g} where 0 belongs", _SHAPE
+        )
     for value, (low, high), what, hint, _, _ in _measures(camera):
         if not low <= value <= high:
             raise _error(where, what, hint)
@@ -329,7 +333,14 @@ def _measures(camera: Camera) -> Iterator[tuple[Any, ...]]:
     )
     # anamorphic video reaches 2
     usual = 1 / 1.5, 1.5
-    yield camera.fx / camera.fy, (0.1, 10.0), what, "pixels are nearly square", usual, doubt
+    yield (
+        camera.fx / camera.fy,
+        (0.1, 10.0),
+        what,
+        "pixels are nearly square",
+        usual,
+        doubt,
+    )
     doubt = (
         f"the principal point {camera.cx:g}, {camera.cy:g} lies outside the picture: is it a"
         " crop?"

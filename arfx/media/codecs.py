@@ -242,7 +242,9 @@ def open_video(path: Path, kind: str = "clip") -> Any:
         )
     except (av.error.FFmpegError, OSError, ValueError) as e:
         why, hint = _diagnose(path)
-        if not why and isinstance(e, av.error.ArgumentError):  # the list of formats said no
+        if not why and isinstance(
+            e, av.error.ArgumentError
+        ):  # the list of formats said no
             why, hint = "it is of a format that is not read", "convert it to .mp4 or .mkv"
         raise InputError(
             f"{kind} {path} cannot be read as a video:"

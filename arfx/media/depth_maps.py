@@ -91,7 +91,9 @@ class DepthPages:
 
     def stored(self, number: int) -> np.ndarray:
         """(h, w[, channels]) as stored. Raises InputError where the page cannot be read."""
-        done, pages = cv2.imreadmulti(str(self.path), number, 1, flags=cv2.IMREAD_UNCHANGED)
+        done, pages = cv2.imreadmulti(
+            str(self.path), number, 1, flags=cv2.IMREAD_UNCHANGED
+        )
         if not done or len(pages) != 1:
             raise InputError(
                 f"depth {self.path}: page {number} cannot be read",
@@ -150,10 +152,14 @@ class DepthMaps:
     def name(self, number: int) -> str:
         """What messages call a map."""
         return (
-            str(self.files[number]) if self.frames is None else f"{self.path}, map {number}"
+            str(self.files[number])
+            if self.frames is None
+            else f"{self.path}, map {number}"
         )
 
-    def of_frames(self, times_s: list[float], before: int, whole: bool) -> list[int | None]:
+    def of_frames(
+        self, times_s: list[float], before: int, whole: bool
+    ) -> list[int | None]:
         """Number of each frame's map, None where none was taken near its time.
         times_s : after the clip's first frame;  before, whole : as of `in_order`, which
         raises InputError

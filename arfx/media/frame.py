@@ -152,7 +152,9 @@ class Frame:
                 f" {after.shape} after"
             )
         picture = copy_picture(self.picture, f.layout)
-        old, new = (samples.three(planes_of(p, f.layout)) for p in (self.picture, picture))
+        old, new = (
+            samples.three(planes_of(p, f.layout)) for p in (self.picture, picture)
+        )
         light = (packed(f.orientation.coded(x)) for x in (before, after))
         if bad := samples.add(samples.samples_of(f), old, new, astuple(r), *light):
             raise RenderError(

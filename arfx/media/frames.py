@@ -298,7 +298,9 @@ class ClipReader:
         )
         for packet in read_on(self._container, [stream]):
             if isinstance(packet, Exception):
-                stopped = f"reading stopped: {getattr(packet, 'strerror', None) or packet}"
+                stopped = (
+                    f"reading stopped: {getattr(packet, 'strerror', None) or packet}"
+                )
                 continue
             held.append(packet)
             if packet.is_corrupt and len(held) < _HELD:
@@ -319,7 +321,8 @@ class ClipReader:
             held.clear()
         size = self.info.path.stat().st_size
         if held or (
-            self.info.container == "mpegts" and all(size % packet for packet in _TS_PACKETS)
+            self.info.container == "mpegts"
+            and all(size % packet for packet in _TS_PACKETS)
         ):
             stopped = "the file ends in the middle of a frame"
         self._stopped = stopped
@@ -336,7 +339,9 @@ class ClipReader:
         for picture in pictures:
             stated = picture.dts if self._by_decoding else picture.pts
             if last is None:
-                pts = self.info.start_pts if self._by_decoding or stated is None else stated
+                pts = (
+                    self.info.start_pts if self._by_decoding or stated is None else stated
+                )
                 shift = pts - (pts if stated is None else stated)
             elif stated is None:
                 pts = last + step

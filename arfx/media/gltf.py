@@ -74,9 +74,7 @@ def read_header(file: ModelFile) -> dict[str, Any]:
         raise file.damaged("its JSON is no object")
     version = json.dumps(header.get("asset", {}).get("version") or "2.0").strip('"')[:20]
     if not version.startswith("2."):
-        hint = (
-            "export it again as glTF 2.0; Blender and `npx gltf-pipeline -i OLD -o NEW` do"
-        )
+        hint = "export it again as glTF 2.0; Blender and `npx gltf-pipeline -i OLD -o NEW` do"
         raise InputError(f"model {file.path} is glTF {version}, glTF 2.0 is read", hint)
     _check_extensions(header, file)
     at_rest = [

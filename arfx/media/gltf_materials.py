@@ -114,9 +114,7 @@ class GltfMaterials:
     def _unlit(self, material: Material, number: int) -> Material:
         """Its colour as emission, on a surface that sends nothing back."""
         if number in self._coloured:  # colours by vertex are no part of emission
-            text = (
-                f"material {material.name} is unlit with colours by vertex: it is shown lit"
-            )
+            text = f"material {material.name} is unlit with colours by vertex: it is shown lit"
             self._file.notices.append(text)
             return material
         red, green, blue, alpha = material.base_colour
@@ -148,12 +146,16 @@ class GltfMaterials:
                 "roughness": unit(1.0 - shine[3]),
             }
         wide, high = max(t.picture.shape[1::-1] for t in (laid, rough_laid))
-        pictures = [None if t is None else t.picture for t in (matt_texture, shine_texture)]
+        pictures = [
+            None if t is None else t.picture for t in (matt_texture, shine_texture)
+        ]
         texels = [None if p is None else resized(p, wide, high) for p in pictures]
         base = np.empty((high, wide, 4), np.uint8)
         rough = np.full((high, wide, 4), 255, np.uint8)
         for a in range(0, high, _ROWS):
-            d, s = (_linear(t, a, f) for t, f in zip(texels, (diffuse, shine), strict=True))
+            d, s = (
+                _linear(t, a, f) for t, f in zip(texels, (diffuse, shine), strict=True)
+            )
             colour, metallic = _metallic(d, s)
             base[a : a + _ROWS, :, :3] = np.round(SRGB.encode(colour) * 255)
             base[a : a + _ROWS, :, 3] = np.round(d[..., 3] * 255)

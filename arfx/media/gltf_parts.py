@@ -97,7 +97,9 @@ class GltfScene:
             below = {child for node in self._nodes for child in node.get("children", [])}
             return [number for number in range(len(self._nodes)) if number not in below]
         if len(self._scenes) > 1:
-            what = f"{len(self._scenes)} scenes, number {self._shown} is shown (from 0 on)"
+            what = (
+                f"{len(self._scenes)} scenes, number {self._shown} is shown (from 0 on)"
+            )
             self._file.notices.append(what)
         return list(self._scenes[self._shown].get("nodes", []))
 
@@ -105,7 +107,9 @@ class GltfScene:
         """Where a node shows its mesh, (4, 4) in the node's axes."""
         given = extensions.get(_INSTANCES, {}).get("attributes", {})
         columns = {
-            p: self._buffers.array(given[p.upper()]) for p in _PLACES if p.upper() in given
+            p: self._buffers.array(given[p.upper()])
+            for p in _PLACES
+            if p.upper() in given
         }
         if not columns:
             yield np.eye(4)

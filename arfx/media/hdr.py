@@ -27,7 +27,9 @@ def side_data(picture: av.VideoFrame) -> dict[str, bytes]:
     """What a picture carries, by FFmpeg's name of its type."""
     try:
         sides: list[Any] = list(picture.side_data)
-    except ValueError:  # PyAV lists none where it does not know the type of one, as of EXIF
+    except (
+        ValueError
+    ):  # PyAV lists none where it does not know the type of one, as of EXIF
         return {}
     return {s.type.name: bytes(s) for s in sides}
 
@@ -82,7 +84,9 @@ def with_static_data(
         numbers = [f"{units * x:.10g}" for x in display[:8]]
         red, green, blue, white = (",".join(numbers[k : k + 2]) for k in range(0, 8, 2))
         least, most = (f"{units_cd_m2 * x:.10g}" for x in display[8:])
-        said.append(f"{of_display}=G({green})B({blue})R({red})WP({white})L({most},{least})")
+        said.append(
+            f"{of_display}=G({green})B({blue})R({red})WP({white})L({most},{least})"
+        )
     if light is not None:
         said.append(f"{of_light}={light[0]},{light[1]}")
     return tuple((k, ":".join([v, *said]) if k == name else v) for k, v in options)

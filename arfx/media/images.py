@@ -112,7 +112,13 @@ def _decode_exr(data: bytes, path: Path, kind: str) -> np.ndarray:
             data = _one_channel(data, path, kind)
         with av.open(io.BytesIO(data), "r", format="exr_pipe") as c:
             picture = np.asarray(next(c.decode(video=0)).to_ndarray())
-    except (av.error.FFmpegError, StopIteration, IndexError, struct.error, ValueError) as e:
+    except (
+        av.error.FFmpegError,
+        StopIteration,
+        IndexError,
+        struct.error,
+        ValueError,
+    ) as e:
         raise InputError(
             f"{kind} {path} cannot be read as an EXR image: it is damaged, or cut short"
         ) from e
@@ -165,7 +171,8 @@ def write_failed(path: Path, error: BaseException) -> RenderError:
     """One clear message for a write that failed: full disk, read-only folder, file limit."""
     reason = getattr(error, "strerror", None) or str(error)
     return RenderError(
-        f"{path} cannot be written: {reason}", "is the disk full, or the folder read-only?"
+        f"{path} cannot be written: {reason}",
+        "is the disk full, or the folder read-only?",
     )
 
 

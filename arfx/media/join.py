@@ -75,7 +75,9 @@ def join_chunks(
     if any(b <= a for a, b in itertools.pairwise(pts)):
         raise RenderError(f"{out}: frame times do not rise")
     if plan.is_sequence:
-        _join_folders(chunks, len(pts), out, part or part_name(out.absolute().parent), made)
+        _join_folders(
+            chunks, len(pts), out, part or part_name(out.absolute().parent), made
+        )
         return 0
     part = part or part_name(out)
     with failures(out, lambda: remove_output(part)):

@@ -55,7 +55,5 @@ def check_material(material: Material, path: Path) -> Material:
 def check_numbers(name: str, numbers: Any, path: Path) -> None:
     """name : of the material. Raises InputError."""
     if not (np.abs(numbers) <= _BRIGHTEST).all():
-        what = (
-            f"material {name!r} holds numbers that are not finite, or above {_BRIGHTEST:g}"
-        )
+        what = f"material {name!r} holds numbers that are not finite, or above {_BRIGHTEST:g}"
         raise InputError(f"model {path}: {what}", "export it again")

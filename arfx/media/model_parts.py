@@ -68,7 +68,9 @@ def part_of(
         rows = _of_vertices(rows, source) | {"normals": normals}
     if "tangents" in rows:
         along = normalise(rows["tangents"][:, :3] @ linear.T)
-        rows["tangents"] = np.column_stack([along, side * np.sign(rows["tangents"][:, 3])])
+        rows["tangents"] = np.column_stack(
+            [along, side * np.sign(rows["tangents"][:, 3])]
+        )
     used, faces = np.unique(faces, return_inverse=True)
     faces = faces.reshape(-1, 3).astype(np.int32)
     return (

@@ -23,7 +23,15 @@ from arfx.media.trimesh_models import TrimeshScene
 # Formats that are read, with their up axis: glTF says y (section 3.4), COLLADA and OBJ exporters
 # default to it; scans and CAD use z. Others that trimesh knows are left out: archives, which may
 # unpack to anything, and formats without faces.
-_UP = {"glb": "y", "gltf": "y", "obj": "y", "dae": "y", "ply": "z", "stl": "z", "off": "z"}
+_UP = {
+    "glb": "y",
+    "gltf": "y",
+    "obj": "y",
+    "dae": "y",
+    "ply": "z",
+    "stl": "z",
+    "off": "z",
+}
 # Recognised by content, whatever the name says.
 _BEGINNINGS = {b"glTF": "glb", b"ply\n": "ply", b"ply\r": "ply"}
 # Beyond this float32 coordinates, which renderers use, step by more than a thousandth of a unit

@@ -71,7 +71,8 @@ class ObjScene:
         # By what FileMesh calls them, and their number's place in a corner.
         self._tables = {
             ("vertices", 0): places[:, :3],
-            ("uv", 1): _table(rows["vt"], 2) * (1, -1) + (0, 1),  # v counts from the bottom
+            ("uv", 1): _table(rows["vt"], 2) * (1, -1)
+            + (0, 1),  # v counts from the bottom
             ("normals", 2): _table(rows["vn"], 3),
         }
         coloured = np.isfinite(places[:-1, 5])

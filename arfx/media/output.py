@@ -90,9 +90,7 @@ def plan_output(
         return _plan_sequence(info, path, codec, settings)
     if container == PHOTO:
         if info.container != PHOTO:
-            hint = (
-                "out.mp4, or images with a number in its name, for example frames/%06d.png"
-            )
+            hint = "out.mp4, or images with a number in its name, for example frames/%06d.png"
             raise ConfigError(f"{path} is one picture, {info.path} is a clip", hint)
         fmt = _pixel_format(info, codec, settings, [])
         return OutputPlan(
@@ -145,7 +143,9 @@ def plan_output(
             f"{counts} counts time in milliseconds: frame times are rounded to 1 ms"
         )
     static = (info.mastering_display, info.content_light)
-    options = hdr.with_static_data(_options(codec, settings), codec.name, *static, notices)
+    options = hdr.with_static_data(
+        _options(codec, settings), codec.name, *static, notices
+    )
     return OutputPlan(
         path,
         codec.name,
@@ -251,9 +251,14 @@ def image_names(pattern: str) -> Callable[[str], bool]:
 def _options(codec: Codec, settings: OutputSettings) -> tuple[tuple[str, str], ...]:
     options = dict(codec.options)
     crf, preset = settings.crf, settings.preset
-    for what, asked, default in (("crf", crf, codec.crf), ("preset", preset, codec.preset)):
+    for what, asked, default in (
+        ("crf", crf, codec.crf),
+        ("preset", preset, codec.preset),
+    ):
         if default is None and asked is not None:
-            raise ConfigError(f"codec {codec.name} has no setting {what!r}", "leave it out")
+            raise ConfigError(
+                f"codec {codec.name} has no setting {what!r}", "leave it out"
+            )
         if default is not None:
             value = default if asked is None else asked
             options[what] = f"{value:g}" if what == "crf" else str(value)
@@ -311,7 +316,8 @@ def _pixel_format(
             )
         if not (codec.lossless or held.holds(odd)):
             raise ConfigError(
-                f"pixel format {asked} needs even sizes, the clip is {size}", "use yuv444p"
+                f"pixel format {asked} needs even sizes, the clip is {size}",
+                "use yuv444p",
             )
         return held.plain_name
     if source.alpha:
@@ -319,7 +325,9 @@ def _pixel_format(
     target = nearest_format(source, codec, odd)
     if target is None:
         able = [
-            n for n, c in CODECS.items() if c.containers and nearest_format(source, c, odd)
+            n
+            for n, c in CODECS.items()
+            if c.containers and nearest_format(source, c, odd)
         ]
         raise ConfigError(
             f"codec {codec.name} cannot write the odd picture size {size}",

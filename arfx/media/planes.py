@@ -138,7 +138,10 @@ def repacked(picture: av.VideoFrame, name: str, **how: Any) -> av.VideoFrame:
     if held is not None and held.plain_name == name.replace("yuvj", "yuv"):
         return copy_picture(picture, held)
     kept = {"src_colorspace": picture.colorspace, "dst_colorspace": picture.colorspace}
-    kept |= {"src_color_range": picture.color_range, "dst_color_range": picture.color_range}
+    kept |= {
+        "src_color_range": picture.color_range,
+        "dst_color_range": picture.color_range,
+    }
     out = picture.reformat(format=name, **(how or kept | {"interpolation": "POINT"}))
     _keep_time(picture, out)
     return out
@@ -176,7 +179,9 @@ class Orientation:
         width, height : of the upright picture, px.
         """
         x0, x1 = (width - rect.x1, width - rect.x0) if self.flip_x else (rect.x0, rect.x1)
-        y0, y1 = (height - rect.y1, height - rect.y0) if self.flip_y else (rect.y0, rect.y1)
+        y0, y1 = (
+            (height - rect.y1, height - rect.y0) if self.flip_y else (rect.y0, rect.y1)
+        )
         return Rect(y0, x0, y1, x1) if self.transpose else Rect(x0, y0, x1, y1)
 
 

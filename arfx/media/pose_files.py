@@ -18,9 +18,8 @@ from arfx.core.pose import Pose, rotation_from_quaternion
 from arfx.errors import InputError
 from arfx.media.clip import Match, match_by_time, match_in_order, spacing_s
 
-_MAX_VALUE = (
-    1e12  # metres or seconds: times count from 1970, nothing is farther than that in metres
-)
+# metres or seconds: times count from 1970, nothing is farther than that in metres
+_MAX_VALUE = 1e12
 _ROUNDING_S = 1e-3  # of times in text
 _UNIT_TOLERANCE = 1e-2  # from 1, of a quaternion's length
 
@@ -90,7 +89,9 @@ def load_poses(path: Path) -> CameraPath:
         if (words := line.split("#")[0].replace(",", " ").split())
     ]
     if not given:
-        raise InputError(f"poses {path} hold no line", "text lines of tx ty tz qx qy qz qw")
+        raise InputError(
+            f"poses {path} hold no line", "text lines of tx ty tz qx qy qz qw"
+        )
     columns = len(given[0][1])
     for number, words in given:
         if len(words) != columns or columns not in (7, 8) or not _is_pose(words):
@@ -98,7 +99,9 @@ def load_poses(path: Path) -> CameraPath:
                 f"poses {path}, line {number}",
                 "tx ty tz qx qy qz qw, perhaps the time before them",
             )
-            raise InputError(f"{where}: {' '.join(words[:9])[:200]!r} is not a pose", hint)
+            raise InputError(
+                f"{where}: {' '.join(words[:9])[:200]!r} is not a pose", hint
+            )
     table = np.array([words for _, words in given], float)
     q = table[:, -4:] / np.linalg.norm(table[:, -4:], axis=1, keepdims=True)
     turned = np.swapaxes(rotation_from_quaternion(np.roll(q, 1, 1)), 1, 2)

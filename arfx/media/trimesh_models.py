@@ -99,7 +99,9 @@ class TrimeshScene:
         mode = str(given.alphaMode or OPAQUE).upper()
         factor = 255 if given.baseColorFactor is None else given.baseColorFactor
         red, green, blue, alpha = (float(c) for c in np.resize(factor, 4) / 255.0)
-        glow = [0.0] * 3 if given.emissiveFactor is None else np.ravel(given.emissiveFactor)
+        glow = (
+            [0.0] * 3 if given.emissiveFactor is None else np.ravel(given.emissiveFactor)
+        )
         metallic, roughness = given.metallicFactor, given.roughnessFactor
         return Material(
             name=str(given.name or "default"),

@@ -148,13 +148,17 @@ def gain_and_bias(
                 if one
                 else f"the system has nullity {solution.nullity}, not 1"
             )
-            part = part._replace(why=why, rank=solution.rank, condition=solution.condition)
+            part = part._replace(
+                why=why, rank=solution.rank, condition=solution.condition
+            )
             # g' = 0: b' and x alone, of one albedo
             blank = solution.gain == 0 or abs(solution.gain) > 1e8 * np.abs(grey).max()
             if one and not blank and solution.gap > LEAST_GAP:
                 b = solution.bias_printed if printed_bias else solution.bias
                 residual = (grey - rho * solution.y[:, None] - solution.bias) * weight
-                spread = float((residual**2).sum() / max(weight.sum() - seen.sum() - 1, 1))
+                spread = float(
+                    (residual**2).sum() / max(weight.sum() - seen.sum() - 1, 1)
+                )
                 own = divide(spread, (weight * rho * rho).sum(1))
                 part = part._replace(
                     y=solution.y,

@@ -190,7 +190,9 @@ class LightMap:
         return self.M[len(self.middles) :].reshape(6, self.size, self.size, 3)
 
 
-def eq9_lights(M: np.ndarray, n: np.ndarray, I_c: float, epsilon_deg: float) -> np.ndarray:
+def eq9_lights(
+    M: np.ndarray, n: np.ndarray, I_c: float, epsilon_deg: float
+) -> np.ndarray:
     """(m,) numbers of the directions in which lights stand, brightest first.
 
     M : (k, 3) or (k,) values at the directions n (k, 3);  I_c : of the channels' mean

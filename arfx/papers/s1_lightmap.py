@@ -42,7 +42,9 @@ def printed_map(light_map_: CubeMap | None) -> tuple[np.ndarray, np.ndarray] | N
     if light_map_ is None:
         return None
     cube = light_map_.faces().astype(np.float32)
-    axes = np.eye(3) if light_map_.axes is None else np.array(light_map_.axes).reshape(3, 3)
+    axes = (
+        np.eye(3) if light_map_.axes is None else np.array(light_map_.axes).reshape(3, 3)
+    )
     if cube.shape[1] < 2 or not np.isfinite(cube).all() or not np.isfinite(axes).all():
         raise RenderError(
             "facts: the light map needs faces of finite numbers, 2 x 2 or more"
@@ -50,14 +52,18 @@ def printed_map(light_map_: CubeMap | None) -> tuple[np.ndarray, np.ndarray] | N
     return cube, axes
 
 
-def phong(n: np.ndarray, v: np.ndarray, d: np.ndarray, roughness: np.ndarray) -> np.ndarray:
+def phong(
+    n: np.ndarray, v: np.ndarray, d: np.ndarray, roughness: np.ndarray
+) -> np.ndarray:
     """(p,) highlight of a light in direction d, seen from v: the cosine to its mirrored
     direction, to a power.
     """
     n_d = n @ d
     r_v = np.maximum(2 * n_d * (n * v).sum(-1) - v @ d, 1e-8)
     # a lobe about the mirrored direction is four times as wide as one about the half-vector
-    shine = np.clip((2 / np.maximum(roughness, LEAST_ROUGHNESS) ** 4 - 2) / 4, 1, SHARPEST)
+    shine = np.clip(
+        (2 / np.maximum(roughness, LEAST_ROUGHNESS) ** 4 - 2) / 4, 1, SHARPEST
+    )
     return np.where(n_d > 0, r_v**shine, 0)
 
 

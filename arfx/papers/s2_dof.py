@@ -123,13 +123,17 @@ def dioptres(now: Layers, facts: FrameFacts, real: Real, grid: np.ndarray) -> np
         out = np.where(plane.within(positions), positions[..., 2], out)
     near, far = depth_range(facts)
     depth = np.clip(now[Layer.DEPTH], near, far)
-    return np.where(now[Layer.COVERAGE] >= 0.5, divide(1.0, depth), out).astype(np.float32)
+    return np.where(now[Layer.COVERAGE] >= 0.5, divide(1.0, depth), out).astype(
+        np.float32
+    )
 
 
 # 3.3 Blur by luminance. What stands in front of a pixel does not flow into it
 
 
-def mean_filter(colour: np.ndarray, dioptre: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def mean_filter(
+    colour: np.ndarray, dioptre: np.ndarray, weights: np.ndarray
+) -> np.ndarray:
     """(h, w, 3): mean of each pixel's surroundings without what stands in front of it.
     weights : (n,) float32 of a row and of a column, n odd; equal ones = the mean"""
     weights = (weights / weights.sum()).astype(np.float32)
@@ -139,7 +143,9 @@ def mean_filter(colour: np.ndarray, dioptre: np.ndarray, weights: np.ndarray) ->
         > dioptre * _NEARER
     )
     parallel_rows(
-        lambda a, b: _mean_without_front(out, a, b, colour, dioptre, weights, any_in_front),
+        lambda a, b: _mean_without_front(
+            out, a, b, colour, dioptre, weights, any_in_front
+        ),
         len(out),
     )
     return out

@@ -94,7 +94,10 @@ def depth_buffer(view: View, near_m: float) -> np.ndarray:
         x = np.arange(rect.x0, rect.x1)
         y = np.arange(rect.y0, rect.y1)[:, None]
         dioptre = plane_dioptre(
-            x, y, view.scene.camera, facts.camera_from_world @ view.scene.world_from_anchor
+            x,
+            y,
+            view.scene.camera,
+            facts.camera_from_world @ view.scene.world_from_anchor,
         )
     dioptre = np.where(now[Layer.COVERAGE] >= 0.5, dioptre_of(now[Layer.DEPTH]), dioptre)
     return np.clip(1 - near_m * dioptre, LEAST, 1).astype(np.float32)
@@ -108,7 +111,8 @@ def cones(sites: Sites, size: np.ndarray, rect: Rect, m: int, n: int) -> np.ndar
     length = (np.hypot(rect.width / n, rect.height / m) + 1 / STEPS) / float(size.min())
     labels = np.zeros((rect.height, rect.width), np.int32)
     x, y = (
-        a.astype(np.float64) for a in (sites.x / STEPS - rect.x0, sites.y / STEPS - rect.y0)
+        a.astype(np.float64)
+        for a in (sites.x / STEPS - rect.x0, sites.y / STEPS - rect.y0)
     )
     _draw_cones(
         x, y, size.astype(np.float64), length, np.full(labels.shape, np.inf), labels
@@ -247,7 +251,11 @@ class PrintedWatercolor(Watercolor):
             myColor = SRGB.encode(np.clip(part[Layer.ALBEDO], 0, 1))
             shaded = SRGB.decode(
                 toon(
-                    myColor, part[Layer.NORMAL], lightDir, p.toon_thresholds, p.toon_factors
+                    myColor,
+                    part[Layer.NORMAL],
+                    lightDir,
+                    p.toon_thresholds,
+                    p.toon_factors,
                 )
             )
             covered = part[Layer.COVERAGE][..., None] * shaded

@@ -83,7 +83,10 @@ def cone_trace(
     steps : of `cone_steps`
     scaled : radiance counts as much as the step's opacity does, however a way is cut into steps
     """
-    start, d = volumes.in_voxels(positions_m), np.ascontiguousarray(directions, np.float32)
+    start, d = (
+        volumes.in_voxels(positions_m),
+        np.ascontiguousarray(directions, np.float32),
+    )
     parts = parallel_rows(
         lambda a, b: _cone_trace(volumes.tree, V, steps, start[a:b], d[a:b], scaled),
         len(start),
@@ -129,7 +132,11 @@ def _cone_trace(
                     outside = outside or p < -half * s or p > size + half * s
                 if outside:
                     continue
-                at = start[i, 0] + t * d[0], start[i, 1] + t * d[1], start[i, 2] + t * d[2]
+                at = (
+                    start[i, 0] + t * d[0],
+                    start[i, 1] + t * d[1],
+                    start[i, 2] + t * d[2],
+                )
                 sample(tree, V, level, at, d, seen)
                 if coarser > 0:
                     sample(tree, V, level + 1, at, d, above)

@@ -50,7 +50,9 @@ from arfx.stages.gi.reference_scene import RayScene
 from arfx.stages.light.split_sum import COSINES, ROUGHNESSES, split_sum
 from arfx.stages.viewing import direction_grid, seen_rect, viewing
 
-LIFT = 0.02  # of the distance: measured depth that is off by more does not lie on the plane
+LIFT = (
+    0.02  # of the distance: measured depth that is off by more does not lie on the plane
+)
 BAND_PX = 32  # rows at once: bounds memory
 LOBES = 12  # widths of mirror cones, from those of roughness 0 to 1
 
@@ -117,7 +119,9 @@ class PrintedGi(Stage):
         return scene.camera.rect  # all of the picture is in the environment
 
     def once(self, facts: FrameFacts) -> Mapping[str, Hashable]:
-        return {"new_lights": None if facts.light is None else repr(lamps_of(facts.light))}
+        return {
+            "new_lights": None if facts.light is None else repr(lamps_of(facts.light))
+        }
 
     def prepare(self, scene: Scene, level: str) -> Any:
         parts = step1_mesh(scene, self.params.plane_albedo)
@@ -177,7 +181,10 @@ class PrintedGi(Stage):
     ) -> np.ndarray:
         """(m, 3) of V_delta on real surfaces: by the wide cones, and by the mirror cone, in which
         the object is reflected."""
-        volumes, six = prepared.volumes, wide_cones(prepared.volumes, radiance.V_delta, at)
+        volumes, six = (
+            prepared.volumes,
+            wide_cones(prepared.volumes, radiance.V_delta, at),
+        )
         out = self.params.plane_albedo * six[..., :3]
         if self.params.plane_gloss > 0:
             rough = np.full(len(out), self.params.plane_roughness)

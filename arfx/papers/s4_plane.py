@@ -54,7 +54,9 @@ def real_and_virtual(scene: Scene, mesh: tuple[Part, ...]) -> Scene:
     turn, offset = anchor_from_model[:3, :3], anchor_from_model[:3, 3]
     moved = (
         replace(
-            p, vertices=p.vertices @ turn.T + offset, normals=normalise(p.normals @ turn.T)
+            p,
+            vertices=p.vertices @ turn.T + offset,
+            normals=normalise(p.normals @ turn.T),
         )
         for p in scene.model.parts
     )

@@ -44,11 +44,15 @@ def texel_rays(volume: Volume, direction: np.ndarray) -> np.ndarray:
     half = np.sqrt(3) / 2 * volume.n * volume.voxel_m
     side = int(np.ceil(np.sqrt(3) * volume.n * TEXELS))
     u = normalise(
-        np.cross(direction, [0.0, 1.0, 0.0] if abs(direction[1]) < 0.9 else [1.0, 0.0, 0.0])
+        np.cross(
+            direction, [0.0, 1.0, 0.0] if abs(direction[1]) < 0.9 else [1.0, 0.0, 0.0]
+        )
     )
     v = np.cross(direction, u)
     a = ((np.arange(side) + 0.5) / side * 2 - 1) * half
-    middle = np.asarray(volume.low_m) + volume.n * volume.voxel_m / 2 + 2 * half * direction
+    middle = (
+        np.asarray(volume.low_m) + volume.n * volume.voxel_m / 2 + 2 * half * direction
+    )
     return np.asarray(middle + (a[:, None, None] * v + a[:, None] * u)).reshape(-1, 3)
 
 

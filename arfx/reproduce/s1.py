@@ -140,7 +140,9 @@ def equation_3(situation: Situation) -> Iterator[Item]:
             else look_up(found[0], n @ found[1].T)
         )
         expected = rho * M + np.array(facts.bias_rgb)
-        off.append(100 * float(np.median(np.abs(virtual - expected)) / np.median(expected)))
+        off.append(
+            100 * float(np.median(np.abs(virtual - expected)) / np.median(expected))
+        )
     yield row(
         "equation (3), difference of the object's pixels, highlights included, median",
         "I = g ρ M(n) + b",
@@ -200,7 +202,9 @@ def figure_1(situation: Situation) -> Iterator[Item]:
         " largest; those that are lights have a red border",
         {
             name: drawn_hemisphere(
-                level, M, np.array([map_from_world @ li.unit for li in lamps[name].lights])
+                level,
+                M,
+                np.array([map_from_world @ li.unit for li in lamps[name].lights]),
             )
             for name, M in values.items()
         },

@@ -383,10 +383,16 @@ def equation_9(seeds: int) -> Iterator[Item]:
         ]
         found = fit(n, lit(n, lamps, 0.2))
         fitted = np.array(
-            [li.direction for li in found.lights if not li.dome and li.confidence_deg < 90]
+            [
+                li.direction
+                for li in found.lights
+                if not li.dome and li.confidence_deg < 90
+            ]
         ).reshape(-1, 3)
         what = f"equation (9), two equal lamps {apart_deg} degrees apart"
-        yield row(f"{what}: lights", "2", (len(peaks), len(fitted) or "refused"), "", PEAKS)
+        yield row(
+            f"{what}: lights", "2", (len(peaks), len(fitted) or "refused"), "", PEAKS
+        )
         off = [off_deg(directions, lamps) for directions in (peaks, fitted)]
         yield row(
             f"{what}: direction off",
@@ -408,7 +414,9 @@ def equation_9(seeds: int) -> Iterator[Item]:
         PEAKS,
     )
     normals = normalise(np.random.default_rng(0).normal(size=(50, 3)))
-    single = [lights_of([reading(normal, 0.6)], params)[0][0].lights for normal in normals]
+    single = [
+        lights_of([reading(normal, 0.6)], params)[0][0].lights for normal in normals
+    ]
     claimed = [
         fit(np.repeat(normal[None], 20, 0), np.full((20, 3), 0.6)).verdict == MEASURED
         for normal in normals[:5]
@@ -437,7 +445,9 @@ def equation_9(seeds: int) -> Iterator[Item]:
 
 def reading(n: np.ndarray, level: float) -> Observation:
     normals = np.atleast_2d(n)
-    return Observation(normals, np.full(normals.shape, level), np.full(normals.shape, 1e-6))
+    return Observation(
+        normals, np.full(normals.shape, level), np.full(normals.shape, 1e-6)
+    )
 
 
 def off_deg(found: np.ndarray, lamps: np.ndarray) -> float | None:

@@ -30,7 +30,9 @@ SITUATIONS = (Lamp(200, 48), Lamp(-20, 34))  # of figure 3
 AMBIENT = (0.2, 0.205, 0.22)
 
 
-def turned_card(lamp: Lamp, size_px: tuple[int, int], frames: int, samples: int = 2) -> str:
+def turned_card(
+    lamp: Lamp, size_px: tuple[int, int], frames: int, samples: int = 2
+) -> str:
     """A scene whose card shows normals on a spiral about the line of sight; first and last
     it lies level.
 

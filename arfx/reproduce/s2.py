@@ -71,7 +71,9 @@ def _circle() -> Iterator[Item]:
     yield _same(item, "F²/(N (U_A - F))", far, infinite, 1e-6)
 
 
-def _same(item: str, printed: str, value: float, other: float, within: float = 1e-9) -> Row:
+def _same(
+    item: str, printed: str, value: float, other: float, within: float = 1e-9
+) -> Row:
     """Two lengths, mm. within : as a fraction"""
     same = math.isclose(value, other, rel_tol=within)
     return row(item, printed, (value, other), "mm", "another length", same)
@@ -214,7 +216,11 @@ def _blur_factor() -> Iterator[Item]:
         for f in (blur_factor(far, (0.0, 2.0), AT), AT.radius_px(far))
     ]
     yield row(
-        "section 3, blur with distance from the focus", "rises", rises, "", "not everywhere"
+        "section 3, blur with distance from the focus",
+        "rises",
+        rises,
+        "",
+        "not everywhere",
     )
     a = blur_factor(np.array([0.0, 1e3 / L, 50.0]), (0.1, 2.0), AT)
     yield row(

@@ -57,7 +57,11 @@ def rows(work: Work) -> Iterator[Item]:
     photo = {REFERENCE: made[REFERENCE]}
     yield from _diagrams()
     yield row(
-        "figure 4", "photographs with depth of field", (OPEN_LENS, OPEN_LENS), "", NO_CAMERA
+        "figure 4",
+        "photographs with depth of field",
+        (OPEN_LENS, OPEN_LENS),
+        "",
+        NO_CAMERA,
     )
     yield Figure("figure 4", "bright points spread over what is dark around them", photo)
     yield from _coordinates(shot, made[BEFORE], np.array(scene.shot[0].path.position_m))
@@ -161,7 +165,12 @@ def _steps(shot: Shot, made: Pictures) -> Iterator[Item]:
         {name: _bytes(np.dstack([t] * 3)) for name, t in textures.items()},
     )
     yield row(
-        "figure 9", "the scene before", ("a scene of the project", "the same"), "", "", True
+        "figure 9",
+        "the scene before",
+        ("a scene of the project", "the same"),
+        "",
+        "",
+        True,
     )
     yield Figure("figure 9", "before", {BEFORE: made[BEFORE]})
     apart = _levels(blurred, made[BEFORE])
@@ -306,7 +315,10 @@ def _spread(picture: np.ndarray, at: np.ndarray) -> float:
     """Pixels of a bright point, on average: those around it that are brighter than the wall
     there.
     """
-    luma, half = picture @ np.array([0.299, 0.587, 0.114]), round(0.035 * picture.shape[1])
+    luma, half = (
+        picture @ np.array([0.299, 0.587, 0.114]),
+        round(0.035 * picture.shape[1]),
+    )
     found = []
     for x, y in np.rint(at).astype(int):
         part = luma[max(y - half, 0) : y + half + 1, x - half : x + half + 1]

@@ -33,7 +33,8 @@ def rows(work: Work) -> Iterator[Item]:
         1 / sum(timed["all virtual", f].stage_s.values()) for f in (PAPER, CORRECTED)
     ]
     yield from _machine(
-        [t.peak_mb for t in timed.values()], (clip.scene.clip.width, clip.scene.clip.height)
+        [t.peak_mb for t in timed.values()],
+        (clip.scene.clip.width, clip.scene.clip.height),
     )
     yield _rate(
         "section 4, all-virtual scene",
@@ -123,5 +124,9 @@ def _machine(peaks_mb: list[float], size: tuple[int, int]) -> Iterator[Item]:
     )
     used = f"{size[0]}*{size[1]}"
     yield row(
-        "section 4, resolution", "1280*1024", (used, used), "", "the short form is smaller"
+        "section 4, resolution",
+        "1280*1024",
+        (used, used),
+        "",
+        "the short form is smaller",
     )

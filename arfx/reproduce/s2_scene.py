@@ -110,7 +110,9 @@ colour = [0.06, 0.12, 0.75]
 """
 
 
-def scene_of(work: Work, full_px: tuple[int, int], samples: int, **parts: Any) -> SceneFile:
+def scene_of(
+    work: Work, full_px: tuple[int, int], samples: int, **parts: Any
+) -> SceneFile:
     """parts : of SCENE;  full_px : its size, but in the short form"""
     width, height = work.scaled(full_px, (240, 192))
     given = {"lens": "", "ball": "", "width": width, "height": height, "samples": samples}

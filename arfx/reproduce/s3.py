@@ -67,7 +67,9 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
     w, h = rect.width / n, rect.height / m
     cell_px = float(np.sqrt(w * h))
     sites = paper.eq1_sites(rect, m, n, 1)
-    ours = make_sites(still_field(rect.width, rect.height, cell_px, 64), 1, 10**6, cell_px)
+    ours = make_sites(
+        still_field(rect.width, rect.height, cell_px, 64), 1, 10**6, cell_px
+    )
     labels, own = paper.cones(sites, np.ones(m * n), rect, m, n), label(ours, rect).first
     both = ((sites, labels), (ours, own))
 
@@ -348,7 +350,9 @@ def picture_rows(frame: Shown) -> Iterator[Item]:
         "the paper has no measure of how well real and virtual agree; the values are how"
         " much the frame has changed in the mean",
     )
-    yield Figure(item, "the result", {BEFORE: frame.image, PRINTED: made, CORRECTED: ours})
+    yield Figure(
+        item, "the result", {BEFORE: frame.image, PRINTED: made, CORRECTED: ours}
+    )
 
 
 def time_rows(frame: Shown, work: Work) -> Iterator[Item]:

@@ -208,7 +208,9 @@ def convex_share(labels: np.ndarray) -> float:
     from skimage.morphology import convex_hull_image
 
     convex = []
-    with warnings.catch_warnings(action="ignore"):  # of cells in one line, which are convex
+    with warnings.catch_warnings(
+        action="ignore"
+    ):  # of cells in one line, which are convex
         for cell in regionprops(labels + 1):
             hull = convex_hull_image(cell.image, offset_coordinates=False)
             convex.append(hull.sum() <= cell.area)
@@ -288,7 +290,9 @@ def exact_means(image: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.n
 
 def outline(thing: np.ndarray) -> np.ndarray:
     """(h, w) bool: pixels of it beside others."""
-    inner = cv2.erode(thing.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=1) > 0
+    inner = (
+        cv2.erode(thing.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=1) > 0
+    )
     return thing & ~inner
 
 

@@ -106,7 +106,9 @@ def plane() -> Iterator[Row]:
 
 def panoramas(work: Work) -> Figure:
     """The environments of one picture, all around: its middle column is straight ahead."""
-    frame = work.shot(room(work), 0, settings=settings(work, "cube", "8cm", LAMP)).renderer
+    frame = work.shot(
+        room(work), 0, settings=settings(work, "cube", "8cm", LAMP)
+    ).renderer
     elevation, azimuth = np.meshgrid(
         *(np.radians(np.linspace(-a, a, n)) for a, n in ((90, 120), (180, 240))),
         indexing="ij",

@@ -24,7 +24,10 @@ def mirrored_room(clip: Clip, shot: Shot, picture: np.ndarray) -> np.ndarray:
     clip, whose axes are the marker's.
     """
     at, world = shot.facts.index, World(clip.scene)
-    low, high = shot.job.scene.model_corners_m.min(0), shot.job.scene.model_corners_m.max(0)
+    low, high = (
+        shot.job.scene.model_corners_m.min(0),
+        shot.job.scene.model_corners_m.max(0),
+    )
     ball = [
         *(low + high) / 2,
         (high - low).max() / 2,

@@ -126,7 +126,9 @@ def without_planes(shot: Shot) -> Shot:
 def ring(coverage: np.ndarray) -> np.ndarray:
     """(h, w) bool: pixels beside what is covered."""
     covered = (coverage > 0).astype(np.uint8)
-    wide = cv2.dilate(covered, np.ones((2 * (coverage.shape[0] // 12) + 1,) * 2, np.uint8))
+    wide = cv2.dilate(
+        covered, np.ones((2 * (coverage.shape[0] // 12) + 1,) * 2, np.uint8)
+    )
     return np.asarray((wide > 0) & (covered == 0))
 
 
@@ -152,7 +154,8 @@ def beside_reference(
     before = shots[PRINTED].renderer.original()
     where = touched(*((before, picture) for picture in made.values()))
     off = [
-        difference(made[REFERENCE], made[name], where).mean for name in (PRINTED, CORRECTED)
+        difference(made[REFERENCE], made[name], where).mean
+        for name in (PRINTED, CORRECTED)
     ]
     yield row(
         item,

@@ -73,7 +73,10 @@ spec = "36h11:3:120mm"
 ambient_rgb = [0.38, 0.39, 0.40]
 lamps = [{{ azimuth_deg = 148, elevation_deg = 52, rgb = [0.42, 0.40, 0.36], angular_size_deg = 6 }}]
 """
-LAMP, FLAT_LAMP = (148, 52, 0.42, 0.40, 0.36), (60, 45, 0.5, 0.5, 0.5)  # of the two scenes
+LAMP, FLAT_LAMP = (
+    (148, 52, 0.42, 0.40, 0.36),
+    (60, 45, 0.5, 0.5, 0.5),
+)  # of the two scenes
 Settings = dict[str, dict[str, object]]
 
 

@@ -76,7 +76,9 @@ def light(scene: Scene) -> Iterator[Row]:
         not (apart & ~shows).any() and apart.any(),
     )
     fields = step2_radiance(made, real, virtual, [(TOWARDS, RGB)])
-    V_rho, V_mu, V_delta = (v[lowest] for v in (fields.V_rho, fields.V_mu, fields.V_delta))
+    V_rho, V_mu, V_delta = (
+        v[lowest] for v in (fields.V_rho, fields.V_mu, fields.V_delta)
+    )
     shadow = V_delta[made.leaf_of(np.array([[-0.05, 0.0, 1e-6]]))[0], 0]
     yield row(
         "step 2, split injection: V_Δ in the object's shadow",
@@ -216,7 +218,9 @@ def empty(work: Work) -> Row:
         job = work.planned(flat_scene(work), settings=under(work, formula, given))
         shot = shot_of(job, 1) if job.plan.frames[1].steps else None
         after = (
-            None if shot is None else shot.picture().astype(int) - shot.renderer.original()
+            None
+            if shot is None
+            else shot.picture().astype(int) - shot.renderer.original()
         )
         changed.append(0.0 if after is None else float(np.abs(after).max()))
     return row(

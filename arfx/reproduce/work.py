@@ -160,7 +160,9 @@ class Work:
         if key not in self._made:
             folder = JobFolder(self.folder / key)
             folder.open(resume=False)
-            config = _config(clip.folder, formula, settings or {}, self.folder / "out.mkv")
+            config = _config(
+                clip.folder, formula, settings or {}, self.folder / "out.mkv"
+            )
             options = Options(overwrite=True, progress=self.progress, notice=self.notice)
             self._made[key] = plan_job(open_inputs(config), folder, options)
         job: Job = self._made[key]

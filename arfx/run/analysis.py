@@ -128,7 +128,9 @@ class _Pass:
         self.walls, self.names = dict[str, float](), list[str]()
         self._progress, self._shown = progress, 0
         self._next = 0  # the stretch that is joined next
-        self._ready = {part.first for part in stretches.parts if self._path(part).exists()}
+        self._ready = {
+            part.first for part in stretches.parts if self._path(part).exists()
+        }
         self._rows = {row["key"]: row for row in log.rows() if row["work"] == STRETCH}
 
     def done(self, run: Run, stated: list[int]) -> AnalysisPass:
@@ -232,7 +234,8 @@ class _Pass:
         tables, seconds = observe(self.context, part, self._tick, True)
         write(path, to_bytes(tables))
         self._note(
-            path.name, {"first": part.first, "last": part.last, "seconds": seconds, **who()}
+            path.name,
+            {"first": part.first, "last": part.last, "seconds": seconds, **who()},
         )
         return tables, path.name, time.perf_counter() - start
 

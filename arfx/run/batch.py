@@ -55,7 +55,9 @@ def process_all(
     )
 
 
-def plan_all(jobs: Sequence[BatchJob], options: Options, started: Started) -> Iterator[Row]:
+def plan_all(
+    jobs: Sequence[BatchJob], options: Options, started: Started
+) -> Iterator[Row]:
     """What `process_all` would do: rows with "plan", as of `plan_document`, or null where
     nothing would be done.
     """
@@ -184,7 +186,9 @@ def _plan(job: BatchJob, options: Options) -> Row:
 
 
 def _of(job: BatchJob, options: Options) -> Options:
-    return replace(options, notice=lambda message: options.notice(f"{job.clip}: {message}"))
+    return replace(
+        options, notice=lambda message: options.notice(f"{job.clip}: {message}")
+    )
 
 
 @contextlib.contextmanager

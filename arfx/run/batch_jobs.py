@@ -127,14 +127,18 @@ def clips_at(text: str) -> list[Path]:
     clips = [
         p
         for p in found
-        if p.suffix.lower() in CLIP_SUFFIXES and not p.name.startswith(".") and p.is_file()
+        if p.suffix.lower() in CLIP_SUFFIXES
+        and not p.name.startswith(".")
+        and p.is_file()
     ]
     clips = [
         p
         for p in clips
         if not (p.parent.name == "chunks" and JobFolder(p.parent.parent).job.exists())
     ]
-    made = {p for folder in {p.parent for p in clips} for p in OutputsMade(folder).files()}
+    made = {
+        p for folder in {p.parent for p in clips} for p in OutputsMade(folder).files()
+    }
     clips = sorted(p for p in clips if p not in made)
     if path.is_dir():
         return clips

@@ -180,7 +180,8 @@ class JobFolder:
         """
         try:
             return frozenset(
-                (int(a), int(b), int(c)) for a, b, c in json.loads(self.placed.read_bytes())
+                (int(a), int(b), int(c))
+                for a, b, c in json.loads(self.placed.read_bytes())
             )
         except (OSError, ValueError, TypeError, OverflowError, RecursionError):
             return frozenset()
@@ -276,7 +277,9 @@ class Lines(Generic[T]):
         start, end = self._starts[[wanted.start, max(wanted.start, wanted.stop)]].tolist()
         with self._path.open("rb") as f:
             f.seek(start)
-            return [self._parse(line) for line in f.read(end - start).decode().splitlines()]
+            return [
+                self._parse(line) for line in f.read(end - start).decode().splitlines()
+            ]
 
 
 def digest(*parts: Any) -> str:

@@ -76,7 +76,9 @@ def open_inputs(config: JobConfig, progress: Progress = lambda *_: None) -> Inpu
         camera, model, placement(config).world_from_model(model, config.model.up)
     ).check_extent()
     maps = job_depth(config)
-    if maps is not None:  # an error in all of them is reported before the clip is analysed
+    if (
+        maps is not None
+    ):  # an error in all of them is reported before the clip is analysed
         maps.load(0, clip.width, clip.height)
     return Inputs(
         with_machine_settings(config),
@@ -132,9 +134,13 @@ def job_prints(config: JobConfig) -> tuple[JobConfig, dict[str, np.ndarray]]:
     for spec in config.patterns:
         prints[spec.key], shape = load_print(spec.image)
         check_turned(spec.key, coded_luma(prints[spec.key], light.ink, light.paper))
-        specs.append(spec if spec.height_m else replace(spec, height_m=spec.size_m * shape))
+        specs.append(
+            spec if spec.height_m else replace(spec, height_m=spec.size_m * shape)
+        )
     return (
-        config.model_copy(update={"pattern": tuple(PatternSection(spec=s) for s in specs)}),
+        config.model_copy(
+            update={"pattern": tuple(PatternSection(spec=s) for s in specs)}
+        ),
         prints,
     )
 
@@ -293,7 +299,8 @@ def marker_map(config: JobConfig) -> dict[str, Pose] | None:
     missing = [m.key for m in config.markers if m.key not in poses]
     if missing:
         raise InputError(
-            f"marker map {path} does not hold {missing[0]}", "it holds " + ", ".join(poses)
+            f"marker map {path} does not hold {missing[0]}",
+            "it holds " + ", ".join(poses),
         )
     return poses
 

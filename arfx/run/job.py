@@ -32,7 +32,15 @@ from arfx.run.analysis import Run, analyse_clip
 from arfx.run.cluster.paths import PathMap
 from arfx.run.cluster.spec import ClusterSpec
 from arfx.run.cluster.start import Cluster, open_cluster
-from arfx.run.executors import Done, Processes, Results, Task, Work, run_serial, run_threads
+from arfx.run.executors import (
+    Done,
+    Processes,
+    Results,
+    Task,
+    Work,
+    run_serial,
+    run_threads,
+)
 from arfx.run.folder import MARK, JobFolder, Lines, disk_error, pick_previews, write
 from arfx.run.inputs import Inputs, make_scene, open_inputs
 from arfx.run.kernels import JOB, compile_ahead, loading, warn_if_unlisted
@@ -176,7 +184,9 @@ def plan_job(
     write(folder.job, MARK + to_toml(frozen(config)))
     write(
         folder.inputs,
-        json.dumps({"camera": inputs.camera.to_json(), "output": inputs.output.to_json()}),
+        json.dumps(
+            {"camera": inputs.camera.to_json(), "output": inputs.output.to_json()}
+        ),
     )
     fresh = not folder.sealed(job_key)
     if fresh:
@@ -243,7 +253,9 @@ def _size(
         inputs.model.face_count / 1e6,
         tuple(analysed.keys),
         frozenset(
-            name for name, stage in stages.items() if type(stage).health is not Stage.health
+            name
+            for name, stage in stages.items()
+            if type(stage).health is not Stage.health
         ),
     )
 
@@ -286,7 +298,9 @@ def _analyse(
     )
     span = (config.input.start, config.input.end)
 
-    def run_here(tasks: Iterator[Task], count: int, frames: int, progress: Done) -> Results:
+    def run_here(
+        tasks: Iterator[Task], count: int, frames: int, progress: Done
+    ) -> Results:
         here = options  # a cluster's workers are not
         if options.workers is not None:
             here = replace(options, workers=min(options.workers, usable_cores()))
@@ -312,7 +326,9 @@ def _analyse(
     seen, notices = clip.summary["markers_seen"], list(clip.notices)
     if anchor == MARKER:
         notices += [
-            f"marker {m.key} was never seen" for m in config.markers if not seen.get(m.key)
+            f"marker {m.key} was never seen"
+            for m in config.markers
+            if not seen.get(m.key)
         ]
     if done.truncated:
         notices.append(done.truncated)

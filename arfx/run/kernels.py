@@ -59,7 +59,8 @@ class Kernel:
         function, types = self.function, _types(self.types)
         key = function._cache._index_key(types, function.targetctx.codegen())
         return (
-            types in function.overloads or key in function._cache._cache_file._load_index()
+            types in function.overloads
+            or key in function._cache._cache_file._load_index()
         )
 
     def load(self) -> None:

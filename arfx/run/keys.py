@@ -33,7 +33,10 @@ def job_keys(inputs: Inputs) -> tuple[str, str]:
         code_digest(),
         file_digest(config.input.clip),
         inputs.camera.to_json(),
-        *(tree[section] for section in ("input", "marker", "pattern", "analyse", "light")),
+        *(
+            tree[section]
+            for section in ("input", "marker", "pattern", "analyse", "light")
+        ),
         config.model.anchor,
         sorted(required_facts(config)),
         *(file_digest(path) for path in more if path),

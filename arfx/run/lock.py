@@ -90,7 +90,8 @@ def _acquire(folder: Path, option: str) -> BaseFileLock:
                 break
             lock = SoftFileLock(folder / MARKER, blocking=False, thread_local=False)
     raise RenderError(
-        f"cannot write into {folder.parent}: {failure}", f"name another place with {option}"
+        f"cannot write into {folder.parent}: {failure}",
+        f"name another place with {option}",
     )
 
 

@@ -15,7 +15,10 @@ from arfx.core.model import Model
 from arfx.core.scene import Scene
 from arfx.errors import ConfigError
 
-LARGE, SMALL = 10.0, 0.01  # of the distance: what is beyond fills the picture, or is a dot
+LARGE, SMALL = (
+    10.0,
+    0.01,
+)  # of the distance: what is beyond fills the picture, or is a dot
 _LOOKED = 9  # frames in which the camera is looked for inside the object
 _REMEDY = (
     "--fit 15cm makes its longest side that long; --scale 0.001 takes the file's numbers"
@@ -52,7 +55,9 @@ def size_in_words(size: dict[str, Any]) -> str:
     marker = ""
     if size["marker"] is not None:
         marker = f" on marker {size['marker']} ({_length(size['marker_m'])})"
-    distance = "" if size["distance_m"] is None else f", {_length(size['distance_m'])} away"
+    distance = (
+        "" if size["distance_m"] is None else f", {_length(size['distance_m'])} away"
+    )
     return f"object {_length(size['size_m'])}{marker}{distance}"
 
 
@@ -72,10 +77,15 @@ def check_size(scene: Scene, facts: Sequence[FrameFacts]) -> list[str]:
         raise ConfigError(
             f"the camera is inside the object ({size_in_words(size)})", _REMEDY
         )
-    if size["distance_m"] is None or SMALL <= size["size_m"] / size["distance_m"] <= LARGE:
+    if (
+        size["distance_m"] is None
+        or SMALL <= size["size_m"] / size["distance_m"] <= LARGE
+    ):
         return []
     which = "large" if size["size_m"] > size["distance_m"] else "small"
-    return [f"the object is {which} for where it stands: {size_in_words(size)}. {_REMEDY}"]
+    return [
+        f"the object is {which} for where it stands: {size_in_words(size)}. {_REMEDY}"
+    ]
 
 
 def _camera_in_model(facts: FrameFacts, model_from_world: np.ndarray) -> np.ndarray:

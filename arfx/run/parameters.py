@@ -66,7 +66,9 @@ def pipeline(config: JobConfig) -> tuple[str, ...]:
     """
     deep = config.input.depth is not None
     if config.pipeline.stages == "auto":
-        params = config.params  # defaults are of the same formula: that alone is no setting
+        params = (
+            config.params
+        )  # defaults are of the same formula: that alone is no setting
         asked = [
             n
             for n in STAGES
@@ -112,7 +114,9 @@ def with_machine_settings(config: JobConfig) -> JobConfig:
     """The job with what its settings come to here (`Stage.settled`): a job resumed on
     another machine mixes nothing.
     """
-    settled = {name: STAGES[name].settled(config.params[name]) for name in pipeline(config)}
+    settled = {
+        name: STAGES[name].settled(config.params[name]) for name in pipeline(config)
+    }
     return config.model_copy(update=settled)
 
 

@@ -50,7 +50,8 @@ def files_read(inputs: Inputs) -> Iterator[tuple[str, Path]]:
     yield from files_named(inputs.config)
     yield from (("file of the model", path) for path in inputs.model.files)
     yield from (
-        ("depth map", path) for path in (() if inputs.depth is None else inputs.depth.files)
+        ("depth map", path)
+        for path in (() if inputs.depth is None else inputs.depth.files)
     )
 
 
@@ -126,7 +127,9 @@ class Places:
         path = self._output.path
         if self._output.is_sequence:
             check_file_name(path.with_name(path.name % 10**9))
-            self._guard.images(path.absolute().parent, path.suffix, image_names(path.name))
+            self._guard.images(
+                path.absolute().parent, path.suffix, image_names(path.name)
+            )
         else:
             self._guard.file(path)
 

@@ -74,7 +74,9 @@ class ClipAnalysis(Document):
 
     @staticmethod
     def read(folder: JobFolder) -> ClipAnalysis:
-        return ClipAnalysis.from_json(json.loads(folder.frames.read_text(encoding="utf-8")))
+        return ClipAnalysis.from_json(
+            json.loads(folder.frames.read_text(encoding="utf-8"))
+        )
 
 
 @dataclass(frozen=True)

@@ -87,7 +87,8 @@ class JobPrediction:
         return {
             "wall": None if self.wall is None else self.wall.to_json(),
             "phases": {
-                name: None if p is None else p.to_json() for name, p in self.phases.items()
+                name: None if p is None else p.to_json()
+                for name, p in self.phases.items()
             },
             "workers": self.workers,
             "share": self.share,
@@ -157,7 +158,8 @@ def _shared(
     loads = [
         lead
         + both(
-            render_s * (b - a + 1) + scale * sum(planned[a : b + 1]), write_s * (b - a + 1)
+            render_s * (b - a + 1) + scale * sum(planned[a : b + 1]),
+            write_s * (b - a + 1),
         )
         for (a, b), lead in zip(chunks, leads, strict=True)
     ]
@@ -177,7 +179,9 @@ def prepare(
     return sum_independent(known) if len(known) == len(found) else None
 
 
-def prepare_one(stage: str, level: str, size: JobSize, prices: Prices) -> Prediction | None:
+def prepare_one(
+    stage: str, level: str, size: JobSize, prices: Prices
+) -> Prediction | None:
     """A level that was not timed counts as the stage's most expensive one, with a wide interval."""
     work = {"frames": 1.0, "mfaces": size.mfaces}
     own = prices.predict(f"prepare {stage}/{level}", work)
@@ -195,7 +199,9 @@ def time_of_stages(plans: Sequence[FramePlan]) -> Prediction | None:
     for step in (s for plan in plans for s in plan.steps):
         if step.seconds is None or step.between is None:
             return None
-        by_stage.setdefault(step.stage, []).append(Prediction(step.seconds, *step.between))
+        by_stage.setdefault(step.stage, []).append(
+            Prediction(step.seconds, *step.between)
+        )
     return sum_independent(sum_correlated(parts) for parts in by_stage.values())
 
 

@@ -223,7 +223,9 @@ def _context(folder: JobFolder, paths: Paths) -> Context:
         config.params["light"],
         anchor=config.model.anchor,
         poses=(
-            None if config.input.poses is None else CameraPath(config.input.poses, (), None)
+            None
+            if config.input.poses is None
+            else CameraPath(config.input.poses, (), None)
         ),  # that there are some
         prints=kept.prints,
         frames=kept.stretches.frames,
@@ -255,7 +257,9 @@ def analyse_stretch(
     cut."""
     keep_memory()
     context = open_context(folder, key, paths)
-    stretch = next(s for s in context.stretches.parts if (s.first, s.last) == (first, last))
+    stretch = next(
+        s for s in context.stretches.parts if (s.first, s.last) == (first, last)
+    )
     try:
         tables, seconds = observe(context, stretch, tick, alone)
     except FrameDamageError:

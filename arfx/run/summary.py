@@ -86,7 +86,11 @@ def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, 
         "pose": _pose(job),
         "light": (
             analysed.summary["light"]
-            | {"frames_shaded": sum(f.light is not None and f.index in lit for f in facts)}
+            | {
+                "frames_shaded": sum(
+                    f.light is not None and f.index in lit for f in facts
+                )
+            }
         ),
         "depth": analysed.summary.get("depth"),
         "lens": analysed.summary.get("footage_lens"),
@@ -196,7 +200,11 @@ def health(job: Job) -> Iterator[Check]:
         "damaged" if job.analysed.damaged else "incomplete" if missing else "whole"
     )
     yield Check(
-        "source file", state, "whole", state == "whole", "processed to its last good frame"
+        "source file",
+        state,
+        "whole",
+        state == "whole",
+        "processed to its last good frame",
     )
     yield Check(
         "frames missing in the source",
@@ -223,7 +231,10 @@ def picture(
 ) -> Layers | None:
     """One frame by these stages with their usual settings, except `own`: see `JobView`."""
     (facts,) = with_model([facts], scene)
-    stages = {**stages_of({name: STAGES[name].Params() for name in levels}, levels), **own}
+    stages = {
+        **stages_of({name: STAGES[name].Params() for name in levels}, levels),
+        **own,
+    }
     plan = plan_frame(list(stages.values()), levels, facts, scene, scene.camera.rect)
     if not plan.steps:
         return None

@@ -133,7 +133,9 @@ class WorkLog:
         return TimeSpent(
             seconds,
             stages,
-            tuple(key for work, key in wanted if work == CHUNK and (work, key) not in last),
+            tuple(
+                key for work, key in wanted if work == CHUNK and (work, key) not in last
+            ),
             sum(walls.values()),
             len(walls),
             max(peak_mb(), *(row["rss_mb"] for row in used), 0.0),

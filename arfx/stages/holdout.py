@@ -57,7 +57,9 @@ class Holdout(Stage):
         return Demand(None, "measured depth shows which pixels are the plane")
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
-        return out if level == "draft" else out.pad(reach_px(scene)).clip(scene.camera.rect)
+        return (
+            out if level == "draft" else out.pad(reach_px(scene)).clip(scene.camera.rect)
+        )
 
     def prepare(self, scene: Scene, level: str) -> np.ndarray:
         return direction_grid(scene.camera)
@@ -68,7 +70,9 @@ class Holdout(Stage):
         if inside.empty:
             return {Layer.SHADOW: Pixels(inside, np.empty((0, 0, 3), np.float32))}
         around = (
-            inside if view.level == "draft" else inside.pad(reach_px(scene)).clip(now.rect)
+            inside
+            if view.level == "draft"
+            else inside.pad(reach_px(scene)).clip(now.rect)
         )
         part, depth = now.crop(around), view.facts.real_depth
         tolerance = max(

@@ -39,7 +39,10 @@ def viewing(grid: np.ndarray, rect: Rect) -> np.ndarray:
     The same for a pixel whatever the rectangle."""
     x, y = np.arange(rect.x0, rect.x1), np.arange(rect.y0, rect.y1)
     i, j = x // GRID_PX, y // GRID_PX
-    fx, fy = (x % GRID_PX / GRID_PX)[None, :, None], (y % GRID_PX / GRID_PX)[:, None, None]
+    fx, fy = (
+        (x % GRID_PX / GRID_PX)[None, :, None],
+        (y % GRID_PX / GRID_PX)[:, None, None],
+    )
     top = grid[j[:, None], i] * (1 - fx) + grid[j[:, None], i + 1] * fx
     bottom = grid[j[:, None] + 1, i] * (1 - fx) + grid[j[:, None] + 1, i + 1] * fx
     return np.ascontiguousarray(top * (1 - fy) + bottom * fy, np.float32)

@@ -72,14 +72,17 @@ def make_clip(
         part.mkdir(parents=True)
     except OSError as e:
         raise RenderError(
-            f"cannot write into {folder.parent}: {e.strerror}", "name another place with -o"
+            f"cannot write into {folder.parent}: {e.strerror}",
+            "name another place with -o",
         ) from None
     try:
         truth = _fill(
             scene, part, scene_folder, progress or (lambda *_: None), truth_pictures
         )
         if os.path.lexists(folder):
-            check_replaceable(folder, overwrite)  # again: all the time since the first look
+            check_replaceable(
+                folder, overwrite
+            )  # again: all the time since the first look
             shutil.rmtree(folder)
         part.rename(folder)
     except OSError as e:
@@ -105,7 +108,9 @@ def check_replaceable(folder: Path, overwrite: bool = True) -> None:
     try:
         job = tomllib.loads((folder / "job.toml").read_text(encoding="utf-8"))["input"]
         own = (
-            {job["clip"], job.get("depth")} if (folder / "truth.jsonl").is_file() else set()
+            {job["clip"], job.get("depth")}
+            if (folder / "truth.jsonl").is_file()
+            else set()
         )
     except (OSError, ValueError, KeyError, TypeError):
         own = set()
@@ -114,7 +119,8 @@ def check_replaceable(folder: Path, overwrite: bool = True) -> None:
         if not (
             own
             and (
-                name in own or (_MADE if path.is_file() else _MADE_FOLDERS).fullmatch(name)
+                name in own
+                or (_MADE if path.is_file() else _MADE_FOLDERS).fullmatch(name)
             )
         ):
             raise ConfigError(
@@ -139,7 +145,9 @@ def _fill(
         clip = files.enter_context(closing(ClipFile(folder / scene.clip.file, scene)))
         maps = None
         if scene.depth.file:
-            maps = files.enter_context(closing(DepthFile(folder / scene.depth.file, scene)))
+            maps = files.enter_context(
+                closing(DepthFile(folder / scene.depth.file, scene))
+            )
         for n in range(scene.frames):
             time_s = float(world.frame_times_s[n])
             clip.write(expose(scene, picture.radiance(n), n, time_s), time_s)
@@ -187,7 +195,8 @@ def frame_truth(world: World, n: int) -> FrameTruth:
             pixels < [world.camera.width - 0.5, world.camera.height - 0.5]
         )
         facing = float(
-            camera_from_marker.rotation[:, 2] @ -normalise(camera_from_marker.translation_m)
+            camera_from_marker.rotation[:, 2]
+            @ -normalise(camera_from_marker.translation_m)
         )
         depth, _ = surfaces(
             divide(points[None, :, :2], points[:, 2:]), room_from_camera, room

@@ -29,13 +29,20 @@ class _Video:
     """A file with one video stream of exact times, whole when it is closed."""
 
     def __init__(
-        self, path: Path, scene: SceneFile, codec: str, size: tuple[int, int], pix_fmt: str
+        self,
+        path: Path,
+        scene: SceneFile,
+        codec: str,
+        size: tuple[int, int],
+        pix_fmt: str,
     ) -> None:
         self._scene = scene
         try:
             self._out = create_container(
                 path,
-                options={"movie_timescale": str(CLOCK_HZ)} if path.suffix == ".mp4" else {},
+                options={"movie_timescale": str(CLOCK_HZ)}
+                if path.suffix == ".mp4"
+                else {},
             )
         except OSError as e:
             raise RenderError(f"cannot write {path}: {e.strerror or e}") from None

@@ -64,7 +64,9 @@ class Picture:
             light, number = self._sample(frame, 0.0, (0.0, 0.0), chosen, 1.0, seed)
             out, met = light.reshape(out.shape), number.reshape(shape)
             box = np.ones((3, 3), np.uint8)
-            chosen = ((met == 0) | (cv2.erode(met, box) != cv2.dilate(met, box))) & (n > 1)
+            chosen = ((met == 0) | (cv2.erode(met, box) != cv2.dilate(met, box))) & (
+                n > 1
+            )
             out[chosen] = 0
         # which moment of the shutter a position gets
         order = np.random.default_rng([scene.seed, 11]).permutation(n * n)
@@ -77,7 +79,9 @@ class Picture:
         if (sigma := scene.lens.softness_px) > 0:
             side = 2 * int(np.ceil(4 * sigma)) + 1
             return np.asarray(
-                cv2.GaussianBlur(out, (side, side), sigma, borderType=cv2.BORDER_REPLICATE)
+                cv2.GaussianBlur(
+                    out, (side, side), sigma, borderType=cv2.BORDER_REPLICATE
+                )
             )
         return out
 
@@ -153,11 +157,16 @@ class Picture:
         leaves the lens's field."""
         out = np.full((*depth.shape, 2), np.nan)
         world = self.world
-        if frame + 1 >= world.scene.frames or world.shots[frame + 1] != world.shots[frame]:
+        if (
+            frame + 1 >= world.scene.frames
+            or world.shots[frame + 1] != world.shots[frame]
+        ):
             return out
         t0, t1 = (float(world.frame_times_s[i]) for i in (frame, frame + 1))
         rays = self.rays(0.0, 0.0)
-        points = np.concatenate([rays, np.ones_like(rays[..., :1])], -1) * depth[..., None]
+        points = (
+            np.concatenate([rays, np.ones_like(rays[..., :1])], -1) * depth[..., None]
+        )
         room_from_camera = world.camera_at(frame, t0).inverse()
         next_camera = world.camera_at(frame + 1, t1)
         before, after = world.poses(t0), world.poses(t1)
@@ -203,7 +212,9 @@ def gain_at(scene: SceneFile, time_s: float) -> float:
     return float(scene.exposure.gain * 2.0**stops)
 
 
-def expose(scene: SceneFile, radiance: np.ndarray, frame: int, time_s: float) -> np.ndarray:
+def expose(
+    scene: SceneFile, radiance: np.ndarray, frame: int, time_s: float
+) -> np.ndarray:
     """Coded colours (h, w, 3) float32 in 0..1 of a frame's radiance (h, w, 3).
     Sensor value = gain * radiance + bias + noise, clipped; noise has variance read² + shot
     * value, as read after the gain, correlated over a Gaussian of the stated sigma without
@@ -216,7 +227,9 @@ def expose(scene: SceneFile, radiance: np.ndarray, frame: int, time_s: float) ->
         signal = signal + sigma * unit_noise(
             rng, signal.shape, scene.hidden.noise_correlation_px
         )
-    return Transfer(scene.hidden.transfer).encode(np.clip(signal, 0, 1)).astype(np.float32)
+    return (
+        Transfer(scene.hidden.transfer).encode(np.clip(signal, 0, 1)).astype(np.float32)
+    )
 
 
 def unit_noise(

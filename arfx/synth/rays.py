@@ -27,7 +27,9 @@ LIFT_M = 2e-5
 _DISC_SAMPLES = 16
 _GOLDEN_ANGLE = 2.399963229728653
 _GLOSS_EXPONENT = 40
-_LEAST_TEXELS = 1e-4  # half a box's side, so that its mean is a quotient of numbers above 0
+_LEAST_TEXELS = (
+    1e-4  # half a box's side, so that its mean is a quotient of numbers above 0
+)
 _NUMBERS = 65521  # below 2^16, prime: of two surfaces under many lights few get the same
 
 
@@ -151,7 +153,11 @@ def _albedo(hit, towards, distance, spans, rect, texture, table):
     first, smallest = int(texture[0]), 0.5 * texture[3]
     low, high, area = (0.0, 0.0), (0.0, 0.0), 1.0
     for axis in range(2):  # along u, then v
-        along, half, size = vector(rect[3 + 3 * axis :]), rect[12 + axis], texture[1 + axis]
+        along, half, size = (
+            vector(rect[3 + 3 * axis :]),
+            rect[12 + axis],
+            texture[1 + axis],
+        )
         texels, squared = size / (2.0 * half), 0.0  # per metre
         for span in spans:  # carried along the ray onto the surface
             rise = dot(span, normal) / dot(towards, normal)

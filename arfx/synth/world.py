@@ -49,7 +49,9 @@ class World:
         self.shots = np.repeat(np.arange(len(scene.shot)), [s.frames for s in scene.shot])
         self._pictures: list[tuple[np.ndarray, float]] = []
         rows = [
-            row for i, p in enumerate(scene.objects, 1) for row in self._make(p, i, folder)
+            row
+            for i, p in enumerate(scene.objects, 1)
+            for row in self._make(p, i, folder)
         ]
         self._rects, self._spheres = (
             np.array([row for row in rows if len(row) == columns]).reshape(-1, columns)
@@ -63,7 +65,9 @@ class World:
                 environment_picture(scene.light.environment, folder)
                 * scene.light.environment_scale
             )
-            self._sky_lights = environment_lights(self.sky, scene.light.environment_lights)
+            self._sky_lights = environment_lights(
+                self.sky, scene.light.environment_lights
+            )
             self.ambient = np.zeros(3)
 
     @property
@@ -80,7 +84,9 @@ class World:
             swing = np.multiply(li.swing_deg, phase)
             angles = np.radians(np.add((li.azimuth_deg, li.elevation_deg), swing))
             # of two keys at one time the later holds from then on
-            factor = np.interp(time_s, *np.array(li.brightness).T) if li.brightness else 1.0
+            factor = (
+                np.interp(time_s, *np.array(li.brightness).T) if li.brightness else 1.0
+            )
             disc = np.tan(np.radians(li.angular_size_deg) / 2)
             rows.append([*direction_of(*angles), *np.multiply(li.rgb, factor), disc])
         return np.array(rows).reshape(-1, 7)
@@ -108,7 +114,9 @@ class World:
         self._pictures.append((picture, float(smooth)))
         texture = len(self._pictures) - 1
         if not isinstance(p, Box):
-            return [_rect(0 * z, x, y, np.array([*size, 0.0]) / 2, texture, number, gloss)]
+            return [
+                _rect(0 * z, x, y, np.array([*size, 0.0]) / 2, texture, number, gloss)
+            ]
         half = np.array(p.size_m) / 2
         return [
             _rect(half * np.cross(u, v) + half * z, u, v, half, texture, number)
@@ -175,7 +183,10 @@ def true_camera(scene: SceneFile) -> Camera:
     """
     w, h, lens = scene.clip.width, scene.clip.height, scene.lens
     f = w / 2 / np.tan(np.radians(lens.fov_deg) / 2)
-    cx, cy = (w - 1) / 2 + lens.centre_offset_px[0], (h - 1) / 2 + lens.centre_offset_px[1]
+    cx, cy = (
+        (w - 1) / 2 + lens.centre_offset_px[0],
+        (h - 1) / 2 + lens.centre_offset_px[1],
+    )
     return Camera(
         w,
         h,
@@ -261,7 +272,10 @@ def camera_from_room(
     path: CameraPath, time_s: float, duration_s: float, seed: int, name: str
 ) -> Pose:
     """Pose of the camera, `time_s` after its shot began."""
-    target, position = np.asarray(path.target_m, float), np.asarray(path.position_m, float)
+    target, position = (
+        np.asarray(path.target_m, float),
+        np.asarray(path.position_m, float),
+    )
     if path.kind == "orbit":
         azimuth, elevation = np.radians(
             _along(np.array([path.azimuth_deg, path.elevation_deg]).T, time_s, duration_s)

@@ -118,7 +118,8 @@ def _show(document: dict[str, Any]) -> None:
 
 def _show_plans(document: dict[str, Any]) -> None:
     walls = [
-        ((r.get("plan") or {}).get("predicted") or {}).get("wall") for r in document["jobs"]
+        ((r.get("plan") or {}).get("predicted") or {}).get("wall")
+        for r in document["jobs"]
     ]
     rows = [
         (r["clip"], result_of(r), *_predicted(wall))

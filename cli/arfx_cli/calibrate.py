@@ -108,7 +108,9 @@ def command(
     spec = BoardSpec.parse(board)
     for path in inputs:
         if not path.exists():
-            raise InputError(f"{path} does not exist", "give images or videos of the board")
+            raise InputError(
+                f"{path} does not exist", "give images or videos of the board"
+            )
     several = has_field(output)
     cameras = (
         _several(inputs, output, report)
@@ -174,7 +176,9 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
         if title:
             progress.begin(title)
         found = find_board(
-            _pictures(paths), spec, lambda searched, _: progress("search", searched, total)
+            _pictures(paths),
+            spec,
+            lambda searched, _: progress("search", searched, total),
         )
     result = calibrate(found)
     camera.plots[0].parent.mkdir(parents=True, exist_ok=True)
@@ -205,14 +209,18 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
     return d | {"output": str(camera.output), "plots": plots}
 
 
-def _camera(source: Path, paths: list[Path], output: Path, report: Path | None) -> _Camera:
+def _camera(
+    source: Path, paths: list[Path], output: Path, report: Path | None
+) -> _Camera:
     folder = report or output.absolute().parent
     before = "" if report else f"{output.stem}-"
     plots = [folder / f"{before}{name}.png" for name in ("residuals", "coverage")]
     return _Camera(source, paths, output, plots)
 
 
-def _several(inputs: tuple[Path, ...], pattern: Path, report: Path | None) -> list[_Camera]:
+def _several(
+    inputs: tuple[Path, ...], pattern: Path, report: Path | None
+) -> list[_Camera]:
     """One camera for each argument, or for what is in a folder that holds no pictures itself."""
     # plots of an earlier run are there
     own = {p.resolve() for p in (fixed_folder(pattern), report) if p is not None}
@@ -243,7 +251,11 @@ def _cameras_in(folder: Path) -> list[Path]:
     found = [
         p
         for p in folder_entries(folder)
-        if (_stills(p) if p.is_dir() else p.is_file() and p.suffix.lower() in CLIP_SUFFIXES)
+        if (
+            _stills(p)
+            if p.is_dir()
+            else p.is_file() and p.suffix.lower() in CLIP_SUFFIXES
+        )
     ]
     if not found:
         raise InputError(
@@ -260,7 +272,8 @@ def _pictures_in(inputs: tuple[Path, ...]) -> list[Path]:
         inside = _stills(path) if path.is_dir() else [path]
         if not inside:
             raise InputError(
-                f"folder {path} holds no pictures", "supported: " + " ".join(sorted(STILLS))
+                f"folder {path} holds no pictures",
+                "supported: " + " ".join(sorted(STILLS)),
             )
         out += inside
     return out
@@ -281,7 +294,9 @@ def _pictures(paths: list[Path]) -> Iterator[Picture]:
             continue
         try:
             yield Picture(
-                name, decode_picture(path, "picture", cv2.IMREAD_GRAYSCALE), exif_turn(path)
+                name,
+                decode_picture(path, "picture", cv2.IMREAD_GRAYSCALE),
+                exif_turn(path),
             )
         except InputError as e:
             yield Picture(name, e)

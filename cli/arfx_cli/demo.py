@@ -53,7 +53,11 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
     from arfx.synth.clip import make_clip
     from arfx.synth.description import DEMO_SCENE, load_scene
 
-    out, picture, report_dir = folder / "out.mp4", folder / "picture.png", folder / "report"
+    out, picture, report_dir = (
+        folder / "out.mp4",
+        folder / "picture.png",
+        folder / "report",
+    )
     guard = Guard((), overwrite)
     for path in (out, picture):
         guard.file(path, folder_made=True)
@@ -68,7 +72,10 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
     with locked(folder, "-o"), Progress() as progress:
         compile_ahead((SYNTH, JOB, *stages_with(EFFECTS)), progress, note)
         make_clip(
-            load_scene(DEMO_SCENE), folder / "clip", progress=progress, overwrite=overwrite
+            load_scene(DEMO_SCENE),
+            folder / "clip",
+            progress=progress,
+            overwrite=overwrite,
         )
         config = load(
             folder / "clip" / "job.toml", {"output": {"path": str(out)}}, parameters()

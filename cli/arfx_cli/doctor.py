@@ -31,7 +31,9 @@ def command(as_json: bool) -> None:
         for line in surroundings():
             detail(line)
     if as_json:
-        emit_json({"ok": essentials_work(checks), "checks": [c.to_json() for c in checks]})
+        emit_json(
+            {"ok": essentials_work(checks), "checks": [c.to_json() for c in checks]}
+        )
     else:
         for group in dict.fromkeys(c.group for c in checks):
             click.echo(group)

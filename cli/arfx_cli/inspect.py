@@ -21,7 +21,9 @@ from arfx_cli.console import (
 @click.command()
 @click.argument("clip", type=FILE)
 @click.option(
-    "--camera", type=FILE, help="Calibration file; with it the markers' tilt is shown too."
+    "--camera",
+    type=FILE,
+    help="Calibration file; with it the markers' tilt is shown too.",
 )
 @click.option(
     "--samples",

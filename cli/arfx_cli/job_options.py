@@ -48,7 +48,10 @@ _OTHERS = [
         help="Methods as printed, or corrected (default).",
     ),
     click.Option(
-        ["--set"], multiple=True, metavar="STAGE.KEY=VALUE", help="Any setting, repeatable."
+        ["--set"],
+        multiple=True,
+        metavar="STAGE.KEY=VALUE",
+        help="Any setting, repeatable.",
     ),
     click.Option(
         ["--report", "report_dir"],
@@ -96,7 +99,9 @@ def job_options() -> list[click.Parameter]:
     """What a job is, where it goes and how it is run: the parameters of a command."""
     places = {name: place for place, name in enumerate(_ORDER.split())}
     parameters = [*(_parameter(s) for s in settings() if s.flags), *_OTHERS]
-    return sorted(parameters, key=lambda p: places.get(p.opts[-1].lstrip("-"), len(places)))
+    return sorted(
+        parameters, key=lambda p: places.get(p.opts[-1].lstrip("-"), len(places))
+    )
 
 
 def _parameter(s: Setting) -> click.Parameter:
@@ -105,11 +110,17 @@ def _parameter(s: Setting) -> click.Parameter:
         kind = click.Path(path_type=Path, dir_okay=s.metavar == "PATH")
     elif float in s.kinds:  # click checks a limit of 0, the job all other limits
         low = next(
-            (m for m in s.limits if 0 in (getattr(m, "gt", None), getattr(m, "ge", None))),
+            (
+                m
+                for m in s.limits
+                if 0 in (getattr(m, "gt", None), getattr(m, "ge", None))
+            ),
             None,
         )
         kind = (
-            click.FLOAT if low is None else click.FloatRange(0, min_open=hasattr(low, "gt"))
+            click.FLOAT
+            if low is None
+            else click.FloatRange(0, min_open=hasattr(low, "gt"))
         )
     elif list[str] not in s.kinds:
         kind = next(
@@ -142,9 +153,12 @@ def job_config(given: dict[str, Any], more: Sequence[JobFile] = ()) -> JobConfig
     kinds = parameters()
     formulas = [name for name, by_formula in kinds.items() if len(by_formula) > 1]
     tree = overrides(
-        itertools.chain(section_overrides(given), _of_stages(given, formulas)), given["set"]
+        itertools.chain(section_overrides(given), _of_stages(given, formulas)),
+        given["set"],
     )
-    config = load([*(find_job_file(file) for file in given["config"]), *more], tree, kinds)
+    config = load(
+        [*(find_job_file(file) for file in given["config"]), *more], tree, kinds
+    )
     pipeline(config)
     return config
 
@@ -170,7 +184,11 @@ def workers(given: dict[str, Any]) -> dict[str, Any]:
             "--map-path is for the workers of a cluster", "--executor says which"
         )
     spec = None if executor is None else ClusterSpec.parse(executor)
-    return {"workers": count, "executor": spec, "map_path": tuple(map(PathMap.parse, maps))}
+    return {
+        "workers": count,
+        "executor": spec,
+        "map_path": tuple(map(PathMap.parse, maps)),
+    }
 
 
 def _of_stages(given: dict[str, Any], formulas: Sequence[str]) -> Iterator[Given]:

@@ -100,7 +100,9 @@ def _note_repeats(context: click.Context, arguments: Sequence[str]) -> None:
         used, _, order = context.command.make_parser(context).parse_args([*arguments])
     except click.UsageError:  # which the command itself raises, with its usage
         return
-    words = [part for word in arguments for part in word.split("=", word.startswith("--"))]
+    words = [
+        part for word in arguments for part in word.split("=", word.startswith("--"))
+    ]
     for option in {p for p in order if isinstance(p, click.Option)}:
         count, last = order.count(option), used.get(option.name)
         if count < 2 or option.multiple or option.is_flag:

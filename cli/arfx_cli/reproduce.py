@@ -24,7 +24,9 @@ from arfx_cli.console import (
 
 
 @click.command()
-@click.argument("paper", type=click.Choice(["s1", "s2", "s3", "s4", "all"]), default="all")
+@click.argument(
+    "paper", type=click.Choice(["s1", "s2", "s3", "s4", "all"]), default="all"
+)
 @click.option(
     "-o",
     "--output",
@@ -40,7 +42,9 @@ from arfx_cli.console import (
 )
 @overwrite_option
 @message_options
-def command(paper: str, folder: Path, short: bool, overwrite: bool, as_json: bool) -> None:
+def command(
+    paper: str, folder: Path, short: bool, overwrite: bool, as_json: bool
+) -> None:
     """Compute every equation, printed number and figure of the published methods, from
     scenes that are made for it.
 

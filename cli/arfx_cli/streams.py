@@ -61,7 +61,10 @@ def _over(raw: _Lenient, before: Any, line_buffering: bool) -> Any:
         return before  # the console takes text, not bytes
     encoding = "utf-8" if before is None else before.encoding
     return io.TextIOWrapper(
-        io.BufferedWriter(raw), encoding, "backslashreplace", line_buffering=line_buffering
+        io.BufferedWriter(raw),
+        encoding,
+        "backslashreplace",
+        line_buffering=line_buffering,
     )
 
 

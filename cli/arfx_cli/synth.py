@@ -66,7 +66,9 @@ def command(
     files = sorted(str(p.relative_to(folder)) for p in folder.iterdir())
     say(f"{len(truth.frames)} frames in {folder}: {', '.join(files)}")
     keys = sorted({key for f in truth.frames for key in f.markers})
-    seen = {key: [f.markers[key] for f in truth.frames if key in f.markers] for key in keys}
+    seen = {
+        key: [f.markers[key] for f in truth.frames if key in f.markers] for key in keys
+    }
     detail_template(
         "measure/synth_detail.jinja",
         sizes={p.name: p.stat().st_size for p in sorted(folder.iterdir()) if p.is_file()},

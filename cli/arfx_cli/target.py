@@ -7,7 +7,14 @@ from pathlib import Path
 import click
 
 from arfx.core.guard import Guard
-from arfx_cli.console import FILE, detail, emit_json, message_options, overwrite_option, say
+from arfx_cli.console import (
+    FILE,
+    detail,
+    emit_json,
+    message_options,
+    overwrite_option,
+    say,
+)
 
 
 @click.command()

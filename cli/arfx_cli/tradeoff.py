@@ -57,7 +57,10 @@ def command(frames: int, as_json: bool, **given: Any) -> None:
 
     def check(inputs: Inputs) -> None:
         if folder is not None:
-            made = {"tradeoff.json": b'{\n "clip": ', "tradeoff.html": PAGE_START.encode()}
+            made = {
+                "tradeoff.json": b'{\n "clip": ',
+                "tradeoff.html": PAGE_START.encode(),
+            }
             guard = Guard(files_read(inputs), options.overwrite)
             report.enter_context(files_locked(guard, folder, made, "--report"))
 

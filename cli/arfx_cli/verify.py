@@ -50,7 +50,9 @@ def command(folder: Path, keep: Path | None, workers: int, as_json: bool) -> Non
     if keep is not None and any(
         os.path.lexists(keep / name) for name in ("job", "out.mkv", "out.mkv.job")
     ):
-        raise ConfigError(f"{keep} holds an earlier run", "name another folder with --keep")
+        raise ConfigError(
+            f"{keep} holds an earlier run", "name another folder with --keep"
+        )
     with (
         tempfile.TemporaryDirectory(prefix="arfx-verify-") as temporary,
         Progress() as progress,
@@ -61,7 +63,9 @@ def command(folder: Path, keep: Path | None, workers: int, as_json: bool) -> Non
     detail_job(done.report)
     for kind, bounds in read_tolerance(folder).get("truth", {}).items():
         for name, bound in bounds.items() if kind in ("max", "min") else ():
-            detail(f"bound: {name} {'at most' if kind == 'max' else 'at least'} {bound:g}")
+            detail(
+                f"bound: {name} {'at most' if kind == 'max' else 'at least'} {bound:g}"
+            )
     if as_json:
         emit_json({"folder": str(folder), "figures": done.figures, "broken": done.broken})
     else:

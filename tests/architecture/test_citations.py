@@ -40,7 +40,9 @@ def texts() -> dict[str, str]:
 def anchors(document: Path) -> set[str]:
     """Of its headings, as GitHub makes them."""
     found = re.findall(r"^#+ (.+)$", document.read_text(encoding="utf-8"), re.MULTILINE)
-    return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in found}
+    return {
+        re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in found
+    }
 
 
 def missing(text: str, documents: Iterable[str]) -> list[str]:
@@ -50,7 +52,9 @@ def missing(text: str, documents: Iterable[str]) -> list[str]:
     """
     out = []
     for cited, anchor in _DOCUMENT.findall(text):
-        found = [d for d in documents if f"/{d}".endswith(f"/{cited.removeprefix('../')}")]
+        found = [
+            d for d in documents if f"/{d}".endswith(f"/{cited.removeprefix('../')}")
+        ]
         if cited not in _MADE and not any(
             not anchor or anchor in anchors(ROOT / d) for d in found
         ):
@@ -76,7 +80,9 @@ def test_every_document_heading_and_test_that_is_cited_exists() -> None:
     documents = [name for name in found if name.endswith(".md")]
     assert not (
         wrong := [
-            f"{name}: {m}" for name, text in found.items() for m in missing(text, documents)
+            f"{name}: {m}"
+            for name, text in found.items()
+            for m in missing(text, documents)
         ]
     ), "\n".join(wrong)
 

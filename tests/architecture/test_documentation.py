@@ -78,7 +78,8 @@ def test_readme_names_only_commands_that_exist() -> None:
 
 
 _STILTED = re.compile(
-    r"\b(tells?|told|called for|calls? for|dear|stands? in)\b(?! the middle)", re.IGNORECASE
+    r"\b(tells?|told|called for|calls? for|dear|stands? in)\b(?! the middle)",
+    re.IGNORECASE,
 )
 _LONGEST = 25  # words of a sentence on the first screen
 
@@ -89,7 +90,9 @@ def test_readme_begins_with_short_sentences() -> None:
         r"^```.*?^```|^\|.*?$|^#.*?$", ".", first, flags=re.DOTALL | re.MULTILINE
     )
     sentences = [s.split() for s in re.split(r"[.:;!?]\s|\n\n", prose)]
-    assert len(sentences) > 10 and not [" ".join(s) for s in sentences if len(s) > _LONGEST]
+    assert len(sentences) > 10 and not [
+        " ".join(s) for s in sentences if len(s) > _LONGEST
+    ]
 
 
 def test_readme_and_help_are_in_plain_words() -> None:
@@ -116,7 +119,9 @@ def test_no_machine_paths_in_tracked_files() -> None:
             and path.is_file()
             and path.name != Path(__file__).name
         ):
-            assert not wrong.search(path.read_text(encoding="utf-8", errors="ignore")), name
+            assert not wrong.search(path.read_text(encoding="utf-8", errors="ignore")), (
+                name
+            )
 
 
 def test_every_sample_scene_is_complete() -> None:

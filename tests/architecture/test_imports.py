@@ -46,13 +46,13 @@ LONG = {
     "arfx/measure/tradeoff.py": 505,
     "arfx/media/cameras.py": 406,
     "arfx/media/clip.py": 444,
-    "arfx/media/frames.py": 423,
+    "arfx/media/frames.py": 428,
     "arfx/media/join.py": 401,
-    "arfx/media/output.py": 410,
+    "arfx/media/output.py": 418,
     "arfx/reproduce/s1_equations.py": 499,
     "arfx/reproduce/s2.py": 490,
     "arfx/reproduce/s3.py": 472,
-    "arfx/run/job.py": 461,
+    "arfx/run/job.py": 477,
     "arfx/synth/description.py": 416,
 }
 MODULES = sorted(

@@ -23,7 +23,9 @@ def too_many(source: str) -> list[str]:
 
 def test_kernels_take_at_most_ten_arguments() -> None:
     assert not {
-        path: found for path in ROOT.rglob("*.py") if (found := too_many(path.read_text()))
+        path: found
+        for path in ROOT.rglob("*.py")
+        if (found := too_many(path.read_text()))
     }
 
 

@@ -72,7 +72,10 @@ def test_a_second_call_installs_nothing(
     monkeypatch.setattr(
         make_venv,
         "create",
-        lambda: (calls.append("create"), (tmp_path / ".venv" / "bin").mkdir(parents=True)),
+        lambda: (
+            calls.append("create"),
+            (tmp_path / ".venv" / "bin").mkdir(parents=True),
+        ),
     )
     monkeypatch.setattr(make_venv, "runs", lambda *_: True)
     (tmp_path / "pyproject.toml").write_text("a")
@@ -169,7 +172,8 @@ def test_pip_wheels_are_read_from_both_kinds_of_index_page(make_venv: ModuleType
             "pip-26.0.1-py3-none-any.whl",
         ]
         assert (
-            wheels[-1][1] == "https://index/simple/w/pip-26.0.1-py3-none-any.whl#sha256=ab"
+            wheels[-1][1]
+            == "https://index/simple/w/pip-26.0.1-py3-none-any.whl#sha256=ab"
         )
 
 

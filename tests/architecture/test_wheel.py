@@ -71,7 +71,9 @@ def test_the_wheel_holds_every_module_and_the_presets(wheel: Path) -> None:
     held = set(zipfile.ZipFile(wheel).namelist())
     kinds = (".json", ".toml", ".html", ".vert", ".frag")
     data = [
-        p for p in (ROOT / "arfx").rglob("*") if p.suffix in kinds and p.name != "ruff.toml"
+        p
+        for p in (ROOT / "arfx").rglob("*")
+        if p.suffix in kinds and p.name != "ruff.toml"
     ]
     for path in [
         *(ROOT / "arfx").rglob("*.py"),
@@ -173,7 +175,12 @@ for kernel in kernels:
             how,
         ]
         got = subprocess.run(
-            command, cwd=aside, env=environment, capture_output=True, text=True, check=False
+            command,
+            cwd=aside,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
         )
         assert got.returncode == 0, got.stderr
         assert sorted(installed.rglob("*.nbc")) == held

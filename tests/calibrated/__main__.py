@@ -25,7 +25,9 @@ Key = tuple[str, str, int]  # part, case, seed
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m tests.calibrated", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.calibrated", description=__doc__
+    )
     parser.add_argument("--only", choices=(READINGS, PIXELS))
     parser.add_argument(
         "--case", default="", help="cases whose name holds this, for example 'two lamps'"
@@ -48,14 +50,18 @@ def main() -> int:
     with ProcessPoolExecutor(given.jobs, multiprocessing.get_context("spawn")) as pool:
         for r in pool.map(row, wanted):
             kept[r.part, r.case, r.seed] = r
-            told = ", ".join(f"off {c.off_deg:.2f}° in {c.cone_deg:.2f}°" for c in r.claims)
+            told = ", ".join(
+                f"off {c.off_deg:.2f}° in {c.cone_deg:.2f}°" for c in r.claims
+            )
             print(
                 f"{r.part}: {r.case} {r.seed}: {r.verdict}; {told or r.reason};"
                 f" {r.seconds:.1f} s",
                 flush=True,
             )
     rows = [
-        kept[key] for part, i, seed in every if (key := (part, CASES[i].name, seed)) in kept
+        kept[key]
+        for part, i, seed in every
+        if (key := (part, CASES[i].name, seed)) in kept
     ]
     file.write_text(json.dumps([to_json(r) for r in rows], indent=1), encoding="utf-8")
     text = markdown(rows)

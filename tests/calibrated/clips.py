@@ -39,7 +39,9 @@ def row(clip: tuple[str, int, int]) -> Row:
         return measured(part, truth, partial(readings.lit, truth), start)
     truth = drawn(CASES[number], seed, pixels.FRAMES)
     with tempfile.TemporaryDirectory() as folder:
-        return measured(part, truth, pixels.Filmed(truth, Path(folder) / "clip").lit, start)
+        return measured(
+            part, truth, pixels.Filmed(truth, Path(folder) / "clip").lit, start
+        )
 
 
 def measured(

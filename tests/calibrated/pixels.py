@@ -158,7 +158,8 @@ class Filmed:
         asked = scene(clip)
         make_clip(asked, folder, truth_pictures=False)
         self._analyser = Observed(
-            AnalysisJob(tuple(m.spec for m in asked.marker), true_camera(asked)), {"light"}
+            AnalysisJob(tuple(m.spec for m in asked.marker), true_camera(asked)),
+            {"light"},
         )
         with ClipReader(probe(folder / asked.clip.file)) as reader:
             for k, frame in enumerate(reader.frames()):

@@ -41,15 +41,27 @@ def analysis(clip: Clip) -> tuple[Analysis, list[Reading]]:
     for k, time_s in enumerate(clip.times_s):
         slow = 0.8 * slow + 0.6 * wrong * rng.normal(size=3)
         off = slow + 0.3 * wrong * rng.normal(size=3)
-        turn = about(off / np.linalg.norm(off), float(np.linalg.norm(off))) @ clip.turns[k]
+        turn = (
+            about(off / np.linalg.norm(off), float(np.linalg.norm(off))) @ clip.turns[k]
+        )
         pose = Pose(turn, clip.places_m[k])
         facts.append(
             FrameFacts(
-                k, float(time_s), 0, MEASURED, pose, pose, np.eye(6) * wrong**2, opacity=1.0
+                k,
+                float(time_s),
+                0,
+                MEASURED,
+                pose,
+                pose,
+                np.eye(6) * wrong**2,
+                opacity=1.0,
             )
         )
         for key, (rotation, at) in clip.prints.items():
-            n, place = clip.turns[k] @ rotation[:, 2], clip.turns[k] @ at + clip.places_m[k]
+            n, place = (
+                clip.turns[k] @ rotation[:, 2],
+                clip.turns[k] @ at + clip.places_m[k],
+            )
             if n @ place > -0.2 * np.linalg.norm(place):
                 continue
             static = n if clip.camera_rests else rotation[:, 2]
@@ -108,7 +120,9 @@ def _photographed(
         spread2 / many + (0.3 / 255 * slope) ** 2 + (2 * lost[:, None]) ** 2 * spread2
     )
     few = count < 4
-    return Patches(np.where(few[:, None], 0, mean), variance, np.where(few, 0, count), lost)
+    return Patches(
+        np.where(few[:, None], 0, mean), variance, np.where(few, 0, count), lost
+    )
 
 
 def lit(clip: Clip, params: LightParams | None = None) -> Analysis:

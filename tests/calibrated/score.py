@@ -49,7 +49,9 @@ class Claim:
 
     @property
     def false(self) -> bool:
-        return self.off_deg > min(max(FALSE_DEG, FALSE_CONES * self.cone_deg), MOST_OFF_DEG)
+        return self.off_deg > min(
+            max(FALSE_DEG, FALSE_CONES * self.cone_deg), MOST_OFF_DEG
+        )
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,8 @@ def claims_of(clip: Clip, found: Analysis) -> list[Claim]:
         lamps = [lamp for lamp in clip.lamps if lamp.on[frame] > 0]
         weight = np.array([lamp.rgb.mean() for lamp in lamps])
         mean = sum(
-            (w * lamp.direction for w, lamp in zip(weight, lamps, strict=True)), np.zeros(3)
+            (w * lamp.direction for w, lamp in zip(weight, lamps, strict=True)),
+            np.zeros(3),
         )
         truths = [
             *(lamp.direction for lamp in lamps),
@@ -173,9 +176,13 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
     ]
     inside = [c for r in rows if r.lamps for c in r.claims]
     if inside:
-        shares = {v: [c.held for c in inside if c.verdict == v] for v in (MEASURED, LIKELY)}
+        shares = {
+            v: [c.held for c in inside if c.verdict == v] for v in (MEASURED, LIKELY)
+        }
         text = ", ".join(
-            f"{v} {np.mean(held):.1%} of {len(held)}" for v, held in shares.items() if held
+            f"{v} {np.mean(held):.1%} of {len(held)}"
+            for v, held in shares.items()
+            if held
         )
         out.append(
             Goal(
@@ -220,7 +227,9 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
     if never:
         wrong = [r for r in never if r.claims or r.verdict != REFUSED]
         text = f"{len(never) - len(wrong)} of {len(never)}{_named(wrong)}"
-        out.append(Goal("one print at rest, and no lamp, always refused", text, not wrong))
+        out.append(
+            Goal("one print at rest, and no lamp, always refused", text, not wrong)
+        )
     return out
 
 
@@ -275,7 +284,8 @@ def pairs(rows: Sequence[Row]) -> list[tuple[str, ...]]:
             if c.alone and c.verdict == verdict
         ]
         inside = [
-            [at <= c.cone_deg for at in (c.mean_deg, c.error_deg, c.far_deg)] for c in mine
+            [at <= c.cone_deg for at in (c.mean_deg, c.error_deg, c.far_deg)]
+            for c in mine
         ]
         out.append(
             (

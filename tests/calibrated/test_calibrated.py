@@ -28,7 +28,8 @@ def test_a_few_clips_of_every_kind_make_no_false_claim() -> None:
     missed = [
         g
         for g in goals(rows)
-        if not g.holds and ("false" in g.name or "refused" in g.name or "beyond" in g.name)
+        if not g.holds
+        and ("false" in g.name or "refused" in g.name or "beyond" in g.name)
     ]
     assert not missed, missed
     assert sum(bool(r.claims) for r in rows if r.owed) >= 1, (
@@ -62,7 +63,8 @@ def test_a_direction_that_is_off_is_noticed() -> None:
     assert any(c.false for c in bad.claims)
     missed = {g.name for g in goals([bad]) if not g.holds}
     assert all(
-        any(word in name for name in missed) for word in ("false", "median", "three cones")
+        any(word in name for name in missed)
+        for word in ("false", "median", "three cones")
     )
 
 
@@ -126,13 +128,17 @@ def test_what_is_filmed_is_what_was_drawn(name: str) -> None:
             light[axes] if axes == "camera" else light[axes]["36h11:3"] for light in on
         ]
         np.testing.assert_allclose(
-            directions, [lamp.direction for lamp in clip.lamps if lamp.on[n] > 0], atol=1e-6
+            directions,
+            [lamp.direction for lamp in clip.lamps if lamp.on[n] > 0],
+            atol=1e-6,
         )
         if clip.camera_rests:
             np.testing.assert_allclose(pose.rotation, clip.turns[n], atol=1e-6)
             np.testing.assert_allclose(pose.translation_m, clip.places_m[n], atol=1e-9)
         else:
-            assert np.linalg.norm(pose.translation_m) == pytest.approx(DISTANCE_M, abs=0.02)
+            assert np.linalg.norm(pose.translation_m) == pytest.approx(
+                DISTANCE_M, abs=0.02
+            )
 
 
 def test_equal_seeds_give_equal_clips_and_others_do_not() -> None:

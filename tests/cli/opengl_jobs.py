@@ -49,7 +49,8 @@ def interrupt(scene: Path, folder: Path) -> None:
 
     with contextlib.suppress(JobInterruptedError):
         process(
-            load(scene / "job.toml", document, parameters()), Options(folder, progress=stop)
+            load(scene / "job.toml", document, parameters()),
+            Options(folder, progress=stop),
         )
     assert len(list((folder / "chunks").iterdir())) == 1
 
@@ -68,7 +69,10 @@ def jobs(folder: Path) -> Iterator[tuple[str, list[str]]]:
         job(clip, "--set", BACKEND, "--resume", "-o", str(folder / "resumed.mkv")),
     )
     for name in OTHERS:
-        yield name, job(folder / name, "--set", BACKEND, "-o", str(folder / f"{name}.mkv"))
+        yield (
+            name,
+            job(folder / name, "--set", BACKEND, "-o", str(folder / f"{name}.mkv")),
+        )
     yield (
         "tradeoff",
         [

@@ -45,7 +45,9 @@ def depth_map(floor: bool = True) -> np.ndarray:
 @pytest.fixture(scope="module")
 def still(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A clip without a marker whose camera stands still."""
-    return write_clip(tmp_path_factory.mktemp("still") / "still.mp4", 18, absent=range(18))
+    return write_clip(
+        tmp_path_factory.mktemp("still") / "still.mp4", 18, absent=range(18)
+    )
 
 
 def arguments(material: Material, clip: Path, *more: str) -> list[str]:
@@ -82,7 +84,9 @@ def test_the_object_stands_on_the_plane(
     )  # the given world is the camera's
     a = np.radians(DOWN_DEG)
     assert np.degrees(np.arccos(plane.rotation[:, 2] @ [0, -np.cos(a), -np.sin(a)])) < 0.2
-    assert -plane.rotation[:, 2] @ plane.translation_m == pytest.approx(HEIGHT_M, abs=0.002)
+    assert -plane.rotation[:, 2] @ plane.translation_m == pytest.approx(
+        HEIGHT_M, abs=0.002
+    )
     made, plain = (
         frames(tmp_path / "out.mkv")[9][1].astype(float),
         frames(still)[9][1].astype(float),
@@ -99,7 +103,9 @@ def test_given_poses_hold_it_in_place(
     turn = rotation_from_euler_deg(-90 - DOWN_DEG, 0, 0)
     x, y, z, w = Rotation.from_matrix(turn).as_quat()
     lines = [f"{0.005 * k} 0 {HEIGHT_M} {x} {y} {z} {w}" for k in range(18)]
-    (tmp_path / "poses.txt").write_text("# camera in the world\n" + "\n".join(lines) + "\n")
+    (tmp_path / "poses.txt").write_text(
+        "# camera in the world\n" + "\n".join(lines) + "\n"
+    )
     cv2.imwrite(str(tmp_path / "one.png"), depth_map())
     more = (
         "--depth",
@@ -151,7 +157,8 @@ def test_poses_sparser_than_frames_are_bridged(
         15,
     )
     moved = np.diff(
-        [f.pose.translation_m for f in read_facts(tmp_path / "job" / "facts.jsonl")], axis=0
+        [f.pose.translation_m for f in read_facts(tmp_path / "job" / "facts.jsonl")],
+        axis=0,
     )
     np.testing.assert_allclose(np.linalg.norm(moved, axis=1), 0.005, atol=2e-4)
 
@@ -160,7 +167,11 @@ def test_an_interrupted_analysis_leaves_the_same_bytes(
     material: Material, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     still = write_clip(
-        tmp_path / "keys.mov", 18, absent=range(18), codec="mjpeg", pixel_format="yuvj420p"
+        tmp_path / "keys.mov",
+        18,
+        absent=range(18),
+        codec="mjpeg",
+        pixel_format="yuvj420p",
     )
     monkeypatch.setattr(stretches, "LEAST_FRAMES", 5)
     cv2.imwrite(str(tmp_path / "one.png"), depth_map())

@@ -164,7 +164,8 @@ def test_a_table_with_settings_of_its_own(
     assert r.code == 0, r.err
     first, second = r.json["jobs"]
     assert (
-        first["output"] == "out/clips день 1.mp4" and (tmp_path / first["output"]).exists()
+        first["output"] == "out/clips день 1.mp4"
+        and (tmp_path / first["output"]).exists()
     ), "-o counts from here"
     assert (
         Path(second["output"]) == folder / "other/x y.mkv"
@@ -180,7 +181,9 @@ def test_a_table_with_settings_of_its_own(
     assert "most_lights = 1" in text
 
 
-def test_a_plan_of_all(material: Material, arfx: Run, shots: Path, tmp_path: Path) -> None:
+def test_a_plan_of_all(
+    material: Material, arfx: Run, shots: Path, tmp_path: Path
+) -> None:
     arguments = command(material, "shots/*", "-o", "out/{stem}/%04d.png", "--dry-run")
     r = arfx(*arguments, "--json")
     assert r.code == 6 and r.json["failed"] == 1, r.err
@@ -301,7 +304,10 @@ def test_what_is_wrong_is_refused_before_any_work(
         ],
     }.items():
         r = arfx(*command(material, *arguments))
-        assert r.code in (2, 3) and all(part in r.err for part in parts), (arguments, r.err)
+        assert r.code in (2, 3) and all(part in r.err for part in parts), (
+            arguments,
+            r.err,
+        )
         assert "analyse" not in r.err and "Traceback" not in r.err
     assert sorted(p.name for p in tmp_path.iterdir()) == [
         "empty",

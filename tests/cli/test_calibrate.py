@@ -61,7 +61,9 @@ def test_pictures_to_a_camera_file(arfx: Run, folder: Path, tmp_path: Path) -> N
     assert camera.fx == pytest.approx(d["camera_matrix"][0][0])
     assert yaml.safe_load(out.read_text())["verdict"] == d["verdict"]
     assert f"verdict: {d['verdict']}" in result.err
-    again = arfx("calibrate", str(folder), "--board", "chessboard:9x6:25mm", "-o", str(out))
+    again = arfx(
+        "calibrate", str(folder), "--board", "chessboard:9x6:25mm", "-o", str(out)
+    )
     assert again.code == 2
     assert "--overwrite" in again.err
 

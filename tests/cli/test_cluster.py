@@ -58,7 +58,9 @@ def config_of(material: Material, output: Path, **more: Any) -> JobConfig:
 
 
 @pytest.fixture(scope="module")
-def planned(material: Material, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Job]:
+def planned(
+    material: Material, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Job]:
     """A job up to where rendering begins, in a folder that is locked."""
     d = tmp_path_factory.mktemp("planned")
     config, folder = config_of(material, d / "out.mkv"), JobFolder(d / "job")
@@ -219,7 +221,11 @@ def test_a_worker_that_sees_another_clip_gets_no_work(
 
 @pytest.mark.usefixtures("mapped_only")
 def test_other_mount_points_are_mapped(
-    running: Farm, planned: Job, serial: dict[int, str], material: Material, tmp_path: Path
+    running: Farm,
+    planned: Job,
+    serial: dict[int, str],
+    material: Material,
+    tmp_path: Path,
 ) -> None:
     for name, path in (("job", planned.folder.path), ("clips", material.folder)):
         (tmp_path / name).symlink_to(path)
@@ -237,7 +243,9 @@ def test_a_copy_of_the_job_folder_is_not_the_job_folder(
 ) -> None:
     monkeypatch.setattr(dispatch, "ARRIVE_S", 0.5)
     planned.folder.clear("chunks/")
-    maps = f"{planned.folder.path}={shutil.copytree(planned.folder.path, tmp_path / 'job')}"
+    maps = (
+        f"{planned.folder.path}={shutil.copytree(planned.folder.path, tmp_path / 'job')}"
+    )
     with (
         connected(running, maps) as (_, cluster),
         pytest.raises(RenderError, match=r"a worker has written .*, and it is not in"),
@@ -362,7 +370,11 @@ def test_stretches_go_through_a_store_with_all_that_they_need(
     """Workers see neither the job folder, nor the clip's folder with the print in it, but a
     folder that holds the clip alone.
     """
-    clip, job, store = Path(str(cut_clip.input.clip)), tmp_path / "job", tmp_path / "store"
+    clip, job, store = (
+        Path(str(cut_clip.input.clip)),
+        tmp_path / "job",
+        tmp_path / "store",
+    )
     (tmp_path / "clips").mkdir()
     shutil.copy(clip, tmp_path / "clips")
     seen, hidden = set[str](), clip.with_name("hidden.png")
@@ -384,7 +396,9 @@ def test_stretches_go_through_a_store_with_all_that_they_need(
                 facts,
                 rows,
             ):
-                assert facts == found[1] and os.getpid() not in {row["pid"] for row in rows}
+                assert facts == found[1] and os.getpid() not in {
+                    row["pid"] for row in rows
+                }
         finally:
             hidden.rename(clip.parent / "print.png")
     assert "stretches.json" in seen and not [*store.rglob("*")], (

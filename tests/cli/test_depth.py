@@ -62,7 +62,9 @@ def test_the_blur_follows_the_depth(
     rows = {h["check"]: h for h in r.json["health"]}
     assert rows["real depth: miss of the markers' planes"]["verdict"] == "ok"
     assert arfx(*material.arguments("-o", "flat.mkv", *lens)).code == 0
-    made, flat = (frames(tmp_path / n)[5][1].astype(float) for n in ("out.mkv", "flat.mkv"))
+    made, flat = (
+        frames(tmp_path / n)[5][1].astype(float) for n in ("out.mkv", "flat.mkv")
+    )
     sharp = frames(material.clip)[5][1].astype(float)
     rough = [np.abs(np.diff(a[:, 5:50], axis=1)).mean() for a in (sharp, flat, made)]
     assert rough[2] < 0.5 * rough[1] <= 0.5 * rough[0], (
@@ -127,7 +129,9 @@ def test_refused_depth_is_said(material: Material, arfx: Run, tmp_path: Path) ->
     unknown[40:-40, 40:-40] = 0  # nothing on the print
     cv2.imwrite(str(tmp_path / "one.png"), unknown)
     r = arfx(
-        *material.arguments("-o", "out.mkv", "--depth", "one.png", "--end", "0.3", "--json")
+        *material.arguments(
+            "-o", "out.mkv", "--depth", "one.png", "--end", "0.3", "--json"
+        )
     )
     assert r.code == 0 and not r.json["depth"]["known"]
     assert "the real depth is not used: 0 frames have depth on a marker's print" in r.err

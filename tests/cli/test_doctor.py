@@ -14,7 +14,9 @@ def test_one_json_document(arfx: Run) -> None:
     assert by_name["auto"]["ok"] and by_name["auto"]["detail"].startswith(
         ("takes pyrender: ", "takes rays: ")
     )
-    assert by_name["rays"]["ok"] and by_name["h264"]["ok"] and by_name["h264"]["essential"]
+    assert (
+        by_name["rays"]["ok"] and by_name["h264"]["ok"] and by_name["h264"]["essential"]
+    )
     assert {"group", "name", "ok", "detail", "fix", "essential"} == set(by_name["python"])
 
 
@@ -31,6 +33,8 @@ def test_without_opengl_it_says_so_with_the_fix_and_still_works(arfx: Run) -> No
     assert ("osmesa" in gl["detail"]) if gl["ok"] else ("apt-get" in gl["fix"]), gl
     r = arfx("doctor", env=no_vendor)
     assert (
-        r.code == 0 and "Clips can be processed here." in r.out and "Traceback" not in r.err
+        r.code == 0
+        and "Clips can be processed here." in r.out
+        and "Traceback" not in r.err
     )
     assert gl["ok"] or "Missing, not essential: pyrender" in r.out

@@ -84,7 +84,11 @@ def test_an_hdr_clip_comes_out_as_it_came(
     assert r.code == 0, r.err
     info = probe(tmp_path / "out.mp4")
     assert (info.codec, info.pixel_format) == ("hevc", "yuv420p10le")
-    assert (info.matrix_tag, info.transfer_tag, info.primaries_tag) == (9, TAGS[kind][0], 9)
+    assert (info.matrix_tag, info.transfer_tag, info.primaries_tag) == (
+        9,
+        TAGS[kind][0],
+        9,
+    )
     assert info.range_tag == 1
     assert info.mastering_display == pytest.approx(DISPLAY)
     assert info.content_light == (1000, 400)
@@ -100,7 +104,11 @@ def test_the_codecs_that_hold_ten_bits_keep_the_tags(
         r = arfx(*material.arguments("-o", name, "--codec", codec, clip=hlg))
         assert r.code == 0, r.err
         info = probe(tmp_path / name)
-        assert (info.pixel_format, info.transfer_tag, info.primaries_tag) == (layout, 18, 9)
+        assert (info.pixel_format, info.transfer_tag, info.primaries_tag) == (
+            layout,
+            18,
+            9,
+        )
         assert (info.content_light == (1000, 400)) == static
         assert ("do not keep the clip's mastering display" in r.err) == (not static)
         if static:

@@ -25,7 +25,8 @@ def test_the_version_is_the_packages(arfx: Run) -> None:
 
 
 @pytest.mark.parametrize(
-    ("word", "near"), [("proces", "process"), ("inpsect", "inspect"), ("docter", "doctor")]
+    ("word", "near"),
+    [("proces", "process"), ("inpsect", "inspect"), ("docter", "doctor")],
 )
 def test_a_misspelt_command_gets_the_nearest(arfx: Run, word: str, near: str) -> None:
     r = arfx(word)

@@ -14,13 +14,16 @@ from tests.cli.conftest import FRAMES, Material, Run
 from tests.clips import MARKER, clip_camera, pose_at, write_clip
 
 
-def test_the_marker_is_found_measured_and_suggested(material: Material, arfx: Run) -> None:
+def test_the_marker_is_found_measured_and_suggested(
+    material: Material, arfx: Run
+) -> None:
     r = arfx("inspect", str(material.clip), "--camera", str(material.camera), "--json")
     assert r.code == 0, r.err
     d = r.json
     (m,) = d["markers"]
     assert (
-        m["marker"] == MARKER.key and m["frames"] == m["looked"] == len(d["samples"]) == 24
+        m["marker"] == MARKER.key
+        and m["frames"] == m["looked"] == len(d["samples"]) == 24
     )
     assert d["marker_coverage"] == 1.0
     camera, pose = clip_camera(), pose_at(FRAMES // 2, FRAMES)
@@ -114,7 +117,10 @@ def test_what_cannot_be_read_is_one_message(arfx: Run, tmp_path: Path) -> None:
 def test_what_is_left_out_is_listed_and_not_suggested(arfx: Run, tmp_path: Path) -> None:
     """One frame: a tag, and a code of few bits with one wrong."""
     page = np.full((240, 320), 230, np.uint8)
-    for at, name, wrong in ((40, "DICT_APRILTAG_36h11", 0), (180, "DICT_APRILTAG_16h5", 1)):
+    for at, name, wrong in (
+        (40, "DICT_APRILTAG_36h11", 0),
+        (180, "DICT_APRILTAG_16h5", 1),
+    ):
         cells = cv2.aruco.generateImageMarker(
             cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)), 4, 8 - 2 * wrong
         )

@@ -118,7 +118,9 @@ def test_a_panorama_of_another_shape_is_refused(
 ) -> None:
     cv2.imwrite(str(tmp_path / "square.hdr"), np.full((32, 32, 3), 0.5, np.float32))
     r = arfx(
-        *material.arguments("-o", "out.mkv", "--environment", str(tmp_path / "square.hdr"))
+        *material.arguments(
+            "-o", "out.mkv", "--environment", str(tmp_path / "square.hdr")
+        )
     )
     assert r.code == 3 and "twice as wide as high" in r.err
 

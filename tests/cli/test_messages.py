@@ -161,7 +161,9 @@ def test_synth_and_verify(arfx: Run, place: Path) -> None:
 
 def test_plan(arfx: Run, place: Path, material: Material) -> None:
     more = ("--end", "0.2", "--codec", "h264", "--crf", "20")
-    says(arfx, place, "frames 0–6: raster standard", "plan", *material.arguments(*more)[1:])
+    says(
+        arfx, place, "frames 0–6: raster standard", "plan", *material.arguments(*more)[1:]
+    )
 
 
 def test_process_and_report(arfx: Run, place: Path, material: Material) -> None:
@@ -189,7 +191,9 @@ def test_demo(
     assert e.value.code == 0 and "stage raster: 4 frames" in err, err
     document = json.loads(out)
     assert {"picture", "clip_before", "clip_after", "report"} == document.keys() - {"job"}
-    assert all((tmp_path / document[name]).is_file() for name in document.keys() - {"job"})
+    assert all(
+        (tmp_path / document[name]).is_file() for name in document.keys() - {"job"}
+    )
     assert document["job"]["output"]["frames"] == 4
     with pytest.raises(SystemExit):
         main(["demo", "--overwrite", "-q"])

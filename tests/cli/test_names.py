@@ -28,7 +28,8 @@ def bad(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    "option", ["clip", "--camera", "--model", "-o", "--job", "--report", "--depth", "--set"]
+    "option",
+    ["clip", "--camera", "--model", "-o", "--job", "--report", "--depth", "--set"],
 )
 def test_a_name_that_is_no_text_is_refused(
     material: Material, arfx: Run, bad: Path, option: str

@@ -41,7 +41,9 @@ def tin(made: Path, frame: int, grown_px: int) -> np.ndarray:
     """(h, w) bool, of the exact mask, larger or smaller by that."""
     number = [p.name for p in load_scene(SCENE).objects].index("tin") + 1
     mask = (
-        cv2.imread(str(made / "truth" / "mask" / f"{frame:06d}.png"), cv2.IMREAD_UNCHANGED)
+        cv2.imread(
+            str(made / "truth" / "mask" / f"{frame:06d}.png"), cv2.IMREAD_UNCHANGED
+        )
         == number
     ).astype(np.uint8)
     box = np.ones((2 * abs(grown_px) + 1,) * 2, np.uint8)
@@ -68,7 +70,9 @@ def test_depth_in_one_file_decides_what_hides_what(
     bare.write_text(
         "\n".join(x for x in lines if not x.startswith("depth")), encoding="utf-8"
     )
-    flat = arfx("process", "--config", str(bare), "-o", str(tmp_path / "flat.mkv"), *SHARP)
+    flat = arfx(
+        "process", "--config", str(bare), "-o", str(tmp_path / "flat.mkv"), *SHARP
+    )
     assert flat.code == 0, flat.err
     assert not {"holdout", "hide"} & {s["name"] for s in flat.json["stages"]}
     source, with_depth, without = (

@@ -30,7 +30,9 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
         clip_camera(),
         poster(300, 200, seed=2),
     )
-    coded = lambda linear: (255 * np.clip(linear, 0, 1) ** (1 / 2.2) + 0.5).astype(np.uint8)  # noqa: E731
+    coded = lambda linear: (255 * np.clip(linear, 0, 1) ** (1 / 2.2) + 0.5).astype(  # noqa: E731
+        np.uint8
+    )
     cv2.imwrite(str(folder / "poster.png"), coded(picture)[..., ::-1])
     card = np.where(np.arange(200)[:, None, None] < 100, picture, picture[::-1, ::-1])
     cv2.imwrite(str(folder / "card.png"), coded(card)[..., ::-1])
@@ -38,7 +40,11 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     back = np.repeat(background(camera.width, camera.height)[..., None], 3, 2)
     with av.open(str(folder / "clip.mkv"), "w") as out:
         stream = out.add_stream("ffv1", rate=30)
-        stream.width, stream.height, stream.pix_fmt = camera.width, camera.height, "yuv444p"
+        stream.width, stream.height, stream.pix_fmt = (
+            camera.width,
+            camera.height,
+            "yuv444p",
+        )
         stream.time_base = Fraction(1, 30)
         for i in range(FRAMES):
             view = 0.7 * hung(
@@ -88,7 +94,9 @@ def test_the_object_stands_on_the_print(place: Path, arfx: Run) -> None:
     )
 
 
-def test_a_job_file_names_it_beside_itself(place: Path, arfx: Run, tmp_path: Path) -> None:
+def test_a_job_file_names_it_beside_itself(
+    place: Path, arfx: Run, tmp_path: Path
+) -> None:
     text = (
         '[input]\nclip = "clip.mkv"\ncamera = "camera.yaml"\n[model]\nfile ='
         ' "model.glb"\nfit = "5cm"\n'

@@ -109,7 +109,9 @@ def test_sound_that_cannot_be_played_is_left_out_with_a_word(
     assert len(frames(tmp_path / "out.mp4")) == 4
 
 
-def test_audio_is_copied_bit_for_bit(material: Material, arfx: Run, tmp_path: Path) -> None:
+def test_audio_is_copied_bit_for_bit(
+    material: Material, arfx: Run, tmp_path: Path
+) -> None:
     r = arfx(*material.arguments("-o", "out.mp4"))
     assert r.code == 0, r.err
 
@@ -193,7 +195,13 @@ def test_workers_and_threads_give_the_same_bytes(
         own.mkdir()
         r = arfx(
             *material.arguments(
-                "-o", "../" + name + ".mp4", "--job", "../job-" + name, "--end", "1.2", *how
+                "-o",
+                "../" + name + ".mp4",
+                "--job",
+                "../job-" + name,
+                "--end",
+                "1.2",
+                *how,
             ),
             cwd=own,
         )
@@ -226,7 +234,14 @@ def test_a_killed_job_resumes_and_gives_the_same_bytes(
     ]
     r = arfx(
         *material.arguments(
-            "-o", "out.mp4", "--workers", "1", "--resume", "--job", "out.mp4.job", "--json"
+            "-o",
+            "out.mp4",
+            "--workers",
+            "1",
+            "--resume",
+            "--job",
+            "out.mp4.job",
+            "--json",
         )
     )
     assert r.code == 0, r.err
@@ -252,7 +267,8 @@ def test_outputs_are_never_overwritten_unasked(
         and (tmp_path / "out.mp4").read_bytes() == b"precious"
     )
     assert (
-        arfx(*material.arguments("-o", "out.mp4", "--end", "0.2", "--overwrite")).code == 0
+        arfx(*material.arguments("-o", "out.mp4", "--end", "0.2", "--overwrite")).code
+        == 0
     )
     assert (tmp_path / "out.mp4").stat().st_size > 1000
 
@@ -262,7 +278,14 @@ def test_start_and_end_select_frames_and_keep_their_times(
 ) -> None:
     r = arfx(
         *material.arguments(
-            "-o", "out.mkv", "--start", "0.5", "--end", "1.0", "--set", "output.codec=ffv1"
+            "-o",
+            "out.mkv",
+            "--start",
+            "0.5",
+            "--end",
+            "1.0",
+            "--set",
+            "output.codec=ffv1",
         )
     )
     assert r.code == 0, r.err
@@ -460,7 +483,9 @@ def test_a_full_disk_leaves_nothing_half_written(
         pytest.skip("cannot mount a tmpfs here")
     try:
         r = arfx(
-            *material.arguments("-o", str(disk / "out.mkv"), "--set", "output.codec=ffv1"),
+            *material.arguments(
+                "-o", str(disk / "out.mkv"), "--set", "output.codec=ffv1"
+            ),
             apart=True,
         )
         assert r.code == 5 and "space" in r.err and "Traceback" not in r.err, r.err
@@ -477,7 +502,9 @@ def test_a_job_left_behind_is_not_cleared_unasked(
     (tmp_path / "out.mp4").unlink()
     r = arfx(*material.arguments(*more))
     assert (
-        r.code == 2 and "--resume" in r.err and (tmp_path / "kept" / "facts.jsonl").exists()
+        r.code == 2
+        and "--resume" in r.err
+        and (tmp_path / "kept" / "facts.jsonl").exists()
     )
     assert arfx(*material.arguments(*more, "--overwrite")).code == 0
     r = arfx(
@@ -515,7 +542,9 @@ def test_an_option_and_a_setting_of_one_key_that_differ_are_an_error(
     material: Material, arfx: Run, tmp_path: Path, option: tuple[str, ...], setting: str
 ) -> None:
     r = arfx(*material.arguments("-o", "out.mp4", *option, "--set", setting))
-    assert r.code == 2 and " ".join(option) in r.err and f"--set {setting}" in r.err, r.err
+    assert r.code == 2 and " ".join(option) in r.err and f"--set {setting}" in r.err, (
+        r.err
+    )
     assert "Traceback" not in r.err and not list(tmp_path.iterdir())
 
 
@@ -533,14 +562,21 @@ def test_an_option_and_a_setting_that_mean_the_same_agree(
     r = arfx(
         "plan",
         *material.arguments(
-            "--rotate", "0,0,90", "--set", "model.rotate=[0, 0, 90]", "--end", "0.1", *same
+            "--rotate",
+            "0,0,90",
+            "--set",
+            "model.rotate=[0, 0, 90]",
+            "--end",
+            "0.1",
+            *same,
         )[1:],
     )
     assert r.code == 0, r.err
 
 
 @pytest.mark.parametrize(
-    "pair", [("output.crf=20", "output.crf.more=1"), ("output.crf.more=1", "output.crf=20")]
+    "pair",
+    [("output.crf=20", "output.crf.more=1"), ("output.crf.more=1", "output.crf=20")],
 )
 def test_a_setting_below_another_is_one_message(
     material: Material, arfx: Run, pair: tuple[str, str]

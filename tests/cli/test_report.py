@@ -100,7 +100,8 @@ def test_process_writes_both_files(job: Path) -> None:
     }
     assert all(stage <= set(s) for s in report["stages"]) and report["stages"]
     assert all(
-        {"check", "value", "limit", "verdict", "action"} <= set(h) for h in report["health"]
+        {"check", "value", "limit", "verdict", "action"} <= set(h)
+        for h in report["health"]
     )
     page = (job / "rep" / "report.html").read_text()
     assert (
@@ -120,7 +121,9 @@ def test_the_job_folder_gives_the_same_report_again(job: Path, arfx: Run) -> Non
     ).read_text()
 
 
-def test_it_lands_beside_the_job_and_is_not_replaced_unasked(job: Path, arfx: Run) -> None:
+def test_it_lands_beside_the_job_and_is_not_replaced_unasked(
+    job: Path, arfx: Run
+) -> None:
     assert arfx("report", str(job / "job")).code == 0
     assert (job / "job.report" / "report.html").exists()
     r = arfx("report", str(job / "job"))

@@ -34,7 +34,9 @@ def test_a_paper_is_reproduced(arfx: Run, tmp_path: Path) -> None:
     }  # fmt: skip
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["s1.html"]
     again = arfx("reproduce", "s1", "-o", "out")
-    assert again.code == 2 and "s1.html exists" in again.err and "--overwrite" in again.err
+    assert (
+        again.code == 2 and "s1.html exists" in again.err and "--overwrite" in again.err
+    )
     over = arfx("reproduce", "s1", "-o", "out", "--overwrite", "--short")
     assert (
         over.code == 0
@@ -64,7 +66,9 @@ def test_what_is_interrupted_is_not_said_to_be_resumable(
 
     monkeypatch.setattr(s1, "rows", interrupted)
     done = arfx("reproduce", "s1", "-o", "out")
-    assert done.code == 130 and "resume" not in done.err and not (tmp_path / "out").exists()
+    assert (
+        done.code == 130 and "resume" not in done.err and not (tmp_path / "out").exists()
+    )
 
 
 def test_a_paper_that_is_not_there_is_refused(arfx: Run) -> None:

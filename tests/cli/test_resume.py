@@ -231,7 +231,9 @@ def test_a_job_that_starts_afresh_counts_its_own_time_alone(
     write_rows(folder, rows)
     timing = process(config, Options(folder, overwrite=True, notice=quiet))["timing"]
     assert (
-        timing["resumed"] is False and timing["processes"] == 1 and timing["render_s"] < 500
+        timing["resumed"] is False
+        and timing["processes"] == 1
+        and timing["render_s"] < 500
     )
     (tmp_path / "out.mp4").unlink()
     r = arfx(

@@ -48,7 +48,8 @@ def test_ctrl_c_leaves_a_resumable_job(
     )
     assert p.returncode == 130 and "Traceback" not in p.stderr, p.stderr
     assert (
-        "error: interrupted; what is done is kept in" in p.stderr and "--resume" in p.stderr
+        "error: interrupted; what is done is kept in" in p.stderr
+        and "--resume" in p.stderr
     )
     assert (tmp_path / "out.mp4.job").is_dir() and not (tmp_path / "out.mp4").exists()
     assert arfx(*material.arguments("-o", "out.mp4", "--resume")).code == 0
@@ -84,7 +85,9 @@ def test_a_killed_job_leaves_no_worker(material: Material, tmp_path: Path) -> No
     assert p.returncode == -signal.SIGKILL
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
+)
 @pytest.mark.parametrize("place", ["arfx.run.job.open_inputs", "arfx.media.join._remux"])
 def test_a_signal_that_a_library_swallows_stops_the_job(
     material: Material,
@@ -102,7 +105,9 @@ def test_a_signal_that_a_library_swallows_stops_the_job(
     assert r.code == code and "--resume" in r.err, r.err
     assert not (tmp_path / "out.mp4").exists() and (tmp_path / "out.mp4.job").is_dir()
     monkeypatch.setattr(place, real)
-    assert arfx(*material.arguments("-o", "out.mp4", "--end", "0.1", "--resume")).code == 0
+    assert (
+        arfx(*material.arguments("-o", "out.mp4", "--end", "0.1", "--resume")).code == 0
+    )
 
 
 def test_a_signal_that_a_library_turns_into_an_error_is_still_one(
@@ -119,7 +124,9 @@ def test_a_signal_that_a_library_turns_into_an_error_is_still_one(
     assert r.code == 143 and r.err == "stopped by SIGTERM\n"
 
 
-@pytest.mark.parametrize("place", ["arfx.run.job.build_report", "arfx_cli.process.say_job"])
+@pytest.mark.parametrize(
+    "place", ["arfx.run.job.build_report", "arfx_cli.process.say_job"]
+)
 def test_once_the_output_is_in_place_signals_change_nothing(
     material: Material,
     arfx: Run,

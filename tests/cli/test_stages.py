@@ -51,7 +51,8 @@ def test_a_stage_says_what_it_reads_and_what_its_levels_cost(arfx: Run) -> None:
     )
     assert [e["level"] for e in d["levels"]] == list(STAGES["gi"].levels)
     assert all(
-        e["price_ms"] and all(ms > 0 for ms in e["price_ms"].values()) for e in d["levels"]
+        e["price_ms"] and all(ms > 0 for ms in e["price_ms"].values())
+        for e in d["levels"]
     )
     said = arfx("stages", "gi").out
     assert d["about"] in said and "gi.strength = 1.0" in said and "Prices: " in said

@@ -76,7 +76,11 @@ def test_the_folder_holds_all_a_job_needs_and_the_truth(made: Path) -> None:
         "truth.jsonl",
     ]
     assert len((made / "out" / "truth.jsonl").read_text().splitlines()) == 13
-    assert {p.name for p in (made / "out" / "truth").iterdir()} == {"depth", "mask", "flow"}
+    assert {p.name for p in (made / "out" / "truth").iterdir()} == {
+        "depth",
+        "mask",
+        "flow",
+    }
 
 
 def test_the_made_folder_is_processed_as_it_is_and_from_anywhere(
@@ -86,7 +90,9 @@ def test_the_made_folder_is_processed_as_it_is_and_from_anywhere(
         "process", "--config", str(made / "out" / "job.toml"), "-o", "out.mp4", "--json"
     )
     assert r.code == 0, r.err
-    assert r.json["pose"]["frames_measured"] == 12 and r.json["pose"]["frames_absent"] == 0
+    assert (
+        r.json["pose"]["frames_measured"] == 12 and r.json["pose"]["frames_absent"] == 0
+    )
     assert (tmp_path / "out.mp4").exists()
 
 

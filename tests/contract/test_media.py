@@ -79,7 +79,8 @@ def stored(frame: Frame) -> list[np.ndarray]:
     cw = -(-f.width >> lay.sub_x)
     widths = [f.width] + [cw if lay.kind == "yuv" else f.width] * 2
     return [
-        p[:, :w].copy() for p, w in zip(planes_of(frame.picture, lay), widths, strict=False)
+        p[:, :w].copy()
+        for p, w in zip(planes_of(frame.picture, lay), widths, strict=False)
     ]
 
 
@@ -95,7 +96,9 @@ def test_every_time_survives_chunks_with_reordered_frames(
     after = read(probe(tmp_path / "out.mp4"))
     assert times(before) == [Fraction(p, 15360) for p in pts]
     assert times(after) == times(before)
-    for a, b in zip(before, after, strict=True):  # and the pictures are in the right order
+    for a, b in zip(
+        before, after, strict=True
+    ):  # and the pictures are in the right order
         assert np.abs(a.luma().astype(int) - b.luma()).mean() < 6
 
 
@@ -156,7 +159,9 @@ def test_lossless_output_changes_only_the_rectangle(
         for k, (p, q) in enumerate(zip(stored(a), stored(b), strict=True)):
             sx, sy = (lay.sub_x, lay.sub_y) if k and lay.kind == "yuv" else (0, 0)
             r = (
-                Rect(grown.x0 >> sx, grown.y0 >> sy, -(-grown.x1 >> sx), -(-grown.y1 >> sy))
+                Rect(
+                    grown.x0 >> sx, grown.y0 >> sy, -(-grown.x1 >> sx), -(-grown.y1 >> sy)
+                )
                 if k
                 else coded
             )
@@ -259,7 +264,9 @@ def test_audio_is_copied_bit_for_bit_and_cut_at_packets(tmp_path: Path) -> None:
     with ChunkWriter(plan, info, chunk) as w:
         for f in kept:
             w.write(f)
-    join_chunks([chunk], [f.pts for f in kept], plan, info, tmp_path / "cut.mp4", 0.5, 1.25)
+    join_chunks(
+        [chunk], [f.pts for f in kept], plan, info, tmp_path / "cut.mp4", 0.5, 1.25
+    )
     cut = packets(tmp_path / "cut.mp4", "audio")
     long = Fraction(1024, 48000)
     assert cut == [
@@ -438,7 +445,10 @@ def test_chunks_that_do_not_fit_are_refused(tmp_path: Path) -> None:
             info,
             tmp_path / "out.mp4",
         )
-    with pytest.raises(ZeroDivisionError), ChunkWriter(plan, info, tmp_path / "c.nut") as w:
+    with (
+        pytest.raises(ZeroDivisionError),
+        ChunkWriter(plan, info, tmp_path / "c.nut") as w,
+    ):
         w.write(frames[0])
         raise ZeroDivisionError
     assert not list(tmp_path.glob("c.nut*")) and not list(tmp_path.glob("out.mp4*"))
@@ -452,7 +462,9 @@ def test_a_preset_is_tried_before_any_work(tmp_path: Path, codec: str, name: str
     usual = CODECS[codec].preset
     assert (
         dict(
-            plan_output(info, tmp_path / name, OutputSettings(codec, preset=usual)).options
+            plan_output(
+                info, tmp_path / name, OutputSettings(codec, preset=usual)
+            ).options
         )["preset"]
         == usual
     )
@@ -469,7 +481,11 @@ def test_a_frame_that_lasts_longer_than_mp4_can_say_is_told_before_rendering(
 ) -> None:
     info = probe(write_clip(tmp_path / "clip.mp4", 1))
     mp4, mkv = (plan_output(info, tmp_path / name) for name in ("out.mp4", "out.mkv"))
-    for plan, pts in ((mp4, [0, MAX_TICKS, 2 * MAX_TICKS]), (mp4, [0]), (mkv, [0, 10**12])):
+    for plan, pts in (
+        (mp4, [0, MAX_TICKS, 2 * MAX_TICKS]),
+        (mp4, [0]),
+        (mkv, [0, 10**12]),
+    ):
         check_times(plan, pts, Fraction(1, 1000))
     with pytest.raises(ConfigError, match=r"24\.9 days.*\.mp4"):
         check_times(mp4, [0, MAX_TICKS + 1], Fraction(1, 1000))

@@ -20,7 +20,9 @@ from arfx.stages.raster import Raster
 from tests.scenes import box_model
 from tests.unit.stages.raster_scenes import PLAIN, camera, in_front, render, square
 
-MODELS = Path(__file__).parents[2].parent / "shared" / "data" / "models" / "mikedh-trimesh"
+MODELS = (
+    Path(__file__).parents[2].parent / "shared" / "data" / "models" / "mikedh-trimesh"
+)
 POSES = {
     "above": in_front(1.0, 35, 25),
     "near": in_front(0.6, -20, 140),
@@ -52,14 +54,18 @@ def own_models() -> dict[str, Model]:
         double_sided=True,
         emissive=(0.5, 0.25, 2.0),
     )
-    glass = Material(base_colour=(0.9, 0.1, 0.1, 0.4), alpha_mode=BLEND, double_sided=True)
+    glass = Material(
+        base_colour=(0.9, 0.1, 0.1, 0.4), alpha_mode=BLEND, double_sided=True
+    )
     return {
         "box": box_model(1.0, Material(base_colour=(0.3, 0.6, 0.9, 1), roughness=0.3)),
         "coloured ball": Model((ball_with_colours(),), "z"),
         "textured, glowing": Model(
             (square(0.5, 0, texture), *box_model(0.4, PLAIN).parts), "z"
         ),
-        "behind glass": Model((square(0.7, 0.6, glass), *box_model(0.8, PLAIN).parts), "z"),
+        "behind glass": Model(
+            (square(0.7, 0.6, glass), *box_model(0.8, PLAIN).parts), "z"
+        ),
     }
 
 
@@ -86,17 +92,21 @@ def hold_against(model: Model, pose_name: str, lens: str) -> None:
     inner = cv2.erode((same & (a > 0) & (b > 0)).astype(np.uint8), np.ones((3, 3))) > 0
     z, w = gl[Layer.DEPTH][inner], rays[Layer.DEPTH][inner]
     assert (
-        np.median(np.abs(z - w) / w) < 2e-5 and np.percentile(np.abs(z - w) / w, 98) < 3e-3
+        np.median(np.abs(z - w) / w) < 2e-5
+        and np.percentile(np.abs(z - w) / w, 98) < 3e-3
     )
     turn = np.degrees(angle_between(gl[Layer.NORMAL][inner], rays[Layer.NORMAL][inner]))
     assert np.median(turn) < 0.3 and np.percentile(turn, 90) < 6
     for name, size in ((Layer.ALBEDO, 1.0), (Layer.MATERIAL, 1.0), (Layer.EMISSIVE, 2.0)):
         difference = np.abs(gl[name] - rays[name])[inner]
         assert (
-            difference.mean() < 0.012 * size and np.percentile(difference, 98) < 0.12 * size
+            difference.mean() < 0.012 * size
+            and np.percentile(difference, 98) < 0.12 * size
         ), name
     assert (
-        np.median(np.linalg.norm(gl[Layer.POSITION] - rays[Layer.POSITION], axis=-1)[inner])
+        np.median(
+            np.linalg.norm(gl[Layer.POSITION] - rays[Layer.POSITION], axis=-1)[inner]
+        )
         < 1e-4
     )
 

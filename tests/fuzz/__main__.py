@@ -143,7 +143,9 @@ def main() -> int:
                     )
                 if until is None:
                     until = (
-                        time.monotonic() + given.seconds if given.seconds else float("inf")
+                        time.monotonic() + given.seconds
+                        if given.seconds
+                        else float("inf")
                     )
                 answer = hands[traced].ask(case)
             except (RuntimeError, OSError) as e:
@@ -186,7 +188,9 @@ def arguments() -> argparse.Namespace:
         help="so many, the named ones among them; default those alone",
     )
     parser.add_argument(
-        "--seconds", type=float, help="stop after so long, from when everything is compiled"
+        "--seconds",
+        type=float,
+        help="stop after so long, from when everything is compiled",
     )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", help=f"kinds: {','.join(KINDS)}")
@@ -225,7 +229,8 @@ def _fault(case: str, words: str) -> dict[str, Any]:
 def show(answer: dict[str, Any], number: int, everything: bool) -> None:
     for kind, words in answer["found"]:
         print(
-            f"{answer['name']}: {kind}: {words[:300]}  [{answer['note'][:120]}]", flush=True
+            f"{answer['name']}: {kind}: {words[:300]}  [{answer['note'][:120]}]",
+            flush=True,
         )
     if everything:
         print(
@@ -255,7 +260,10 @@ def report(answers: list[dict[str, Any]]) -> int:
             + f"{sum(n for c, n in last.items() if c not in (0, 2, 3, 4)):7}"
         )
         found = sum(bool(a["found"]) for a in mine)
-        slowest, most = max(a["seconds"] for a in mine), max(a["bytes"] for a in mine) >> 20
+        slowest, most = (
+            max(a["seconds"] for a in mine),
+            max(a["bytes"] for a in mine) >> 20,
+        )
         print(f"{kind:12}{len(mine):6}{found:7}  {shown}{slowest:12.1f}{most:9}")
     distinct: dict[str, list[str]] = {}
     for a in answers:

@@ -16,7 +16,14 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.fuzz.case import Build, Case, mutated_bytes, mutated_text, mutated_tree, process
+from tests.fuzz.case import (
+    Build,
+    Case,
+    mutated_bytes,
+    mutated_text,
+    mutated_tree,
+    process,
+)
 from tests.fuzz.material import CAMERAS
 
 OPENCV = (
@@ -25,7 +32,9 @@ OPENCV = (
 )
 _EIGHT = [(b, ", ".join([f"*{a}"] * 8)) for a, b in itertools.pairwise("abcdefghi")]
 ALIASES = "a: &a [1, 1]\n" + "".join(f"{b}: &{b} [{eight}]\n" for b, eight in _EIGHT)
-MERGES = "a: &a {x: 1}\n" + "".join(f"{b}: &{b} {{<<: [{eight}]}}\n" for b, eight in _EIGHT)
+MERGES = "a: &a {x: 1}\n" + "".join(
+    f"{b}: &{b} {{<<: [{eight}]}}\n" for b, eight in _EIGHT
+)
 DOUBLED = "a0: &a0 {" + ", ".join(f"k{i}: 1" for i in range(1000)) + "}\n"
 DOUBLED += "".join(f"a{i}: &a{i} {{<<: [*a{i - 1}, *a{i - 1}]}}\n" for i in range(1, 25))
 
@@ -44,7 +53,9 @@ def matrix(
     def build(rng: random.Random, folder: Path, material: Path) -> Case:
         (folder / "camera.yaml").write_text(OPENCV.format(matrix=values, lens=lens))
         return Case(
-            folder, process(folder, material, camera="camera.yaml"), codes=frozenset(codes)
+            folder,
+            process(folder, material, camera="camera.yaml"),
+            codes=frozenset(codes),
         )
 
     return build
@@ -125,7 +136,9 @@ def absurd(rng: random.Random, folder: Path, material: Path) -> Case:
         rng.choice((0.0, 0.1, -0.5, 10.0, -1e3, 1e9, 1e-300, 1e308))
         for _ in range(rng.choice((0, 1, 2, 4, 5, 6, 8, 12, 14)))
     ]
-    content = OPENCV.format(matrix=", ".join(map(repr, k)), lens=", ".join(map(repr, lens)))
+    content = OPENCV.format(
+        matrix=", ".join(map(repr, k)), lens=", ".join(map(repr, lens))
+    )
     if rng.random() < 0.3:
         content += "distortion_model: equidistant\n"
     if rng.random() < 0.2:
@@ -133,13 +146,22 @@ def absurd(rng: random.Random, folder: Path, material: Path) -> Case:
             "160", rng.choice(("0", "-160", "1", "320", "1000000", "4294967296"))
         )
     (folder / "camera.yaml").write_text(content)
-    return Case(folder, process(folder, material, camera="camera.yaml"), note=f"{k} {lens}")
+    return Case(
+        folder, process(folder, material, camera="camera.yaml"), note=f"{k} {lens}"
+    )
 
 
 def others(rng: random.Random, folder: Path, material: Path) -> Case:
     """Marker map, poses, depth, environment."""
     kind = rng.choice(
-        ("map.toml", "map.json", "poses.txt", "depth", "environment.png", "environment.hdr")
+        (
+            "map.toml",
+            "map.json",
+            "poses.txt",
+            "depth",
+            "environment.png",
+            "environment.hdr",
+        )
     )
     if kind == "depth":
         shutil.copytree(material / "depth", folder / "depth")
@@ -175,7 +197,9 @@ def others(rng: random.Random, folder: Path, material: Path) -> Case:
             note=kind,
         )
     option = "environment" if kind.startswith("environment") else "marker_map"
-    return Case(folder, process(folder, material, **{option: kind}), note=f"damaged {kind}")
+    return Case(
+        folder, process(folder, material, **{option: kind}), note=f"damaged {kind}"
+    )
 
 
 def any_case(rng: random.Random, folder: Path, material: Path) -> Case:

@@ -99,7 +99,13 @@ def process(folder: Path, material: Path, **changed: str | None) -> list[str]:
     # that it is not
     late = ["--", clip] if clip is not None and clip.startswith("-") else []
     early = [] if clip is None or late else [clip]
-    return ["process", *early, *(word for pair in named for word in pair), "--json", *late]
+    return [
+        "process",
+        *early,
+        *(word for pair in named for word in pair),
+        "--json",
+        *late,
+    ]
 
 
 def mutated_bytes(rng: random.Random, data: bytes) -> bytes:

@@ -58,7 +58,9 @@ def snapshot(folder: Path) -> dict[str, str]:
     return out
 
 
-def judge(case: Case, ended: list[Ended], before: dict[str, str], reached: Found) -> Found:
+def judge(
+    case: Case, ended: list[Ended], before: dict[str, str], reached: Found
+) -> Found:
     """All that is wrong, as (kind, words)."""
     found: Found = [
         (e.why, f"{e.seconds:.0f} s, {e.most_bytes >> 20} MB") for e in ended if e.why
@@ -84,7 +86,9 @@ def judge(case: Case, ended: list[Ended], before: dict[str, str], reached: Found
         found += _stopped(case, ended[0], there and len(ended) == 1)
     looked = 0 in [e.code for e in ended] or ((case.silent or case.stop) and there)
     return (
-        found + _files(case, ended, before, after) + (_output(case, last) if looked else [])
+        found
+        + _files(case, ended, before, after)
+        + (_output(case, last) if looked else [])
     )
 
 

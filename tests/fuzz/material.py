@@ -117,7 +117,8 @@ def _clips(folder: Path) -> None:
     (folder / "depth").mkdir()
     for i in range(4):
         cv2.imwrite(
-            str(folder / "depth" / f"{i:04d}.png"), np.full((120, 160), 400 + i, np.uint16)
+            str(folder / "depth" / f"{i:04d}.png"),
+            np.full((120, 160), 400 + i, np.uint16),
         )
     Image.fromarray(np.full((16, 32, 3), 128, np.uint8)).save(folder / "environment.png")
     cv2.imwrite(str(folder / "environment.hdr"), np.full((16, 32, 3), 0.5, np.float32))

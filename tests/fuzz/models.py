@@ -54,9 +54,7 @@ SUFFIXES = (
     "ctm",
     "tar.gz",
 )
-EPS = (
-    b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\n0 0 8 8 rectfill\nshowpage\n%%EOF\n"
-)
+EPS = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\n0 0 8 8 rectfill\nshowpage\n%%EOF\n"
 ADDRESSES = (
     "../outside/secret.png", "../outside/secret.bin", "http://127.0.0.1:9/a.png", "file:///etc/hostname", "/etc/hostname",
     "/dev/zero", "..", "", "a/../../outside/secret.png", "..%2foutside%2fsecret.png", "\\\\127.0.0.1\\a", "link.png",
@@ -318,7 +316,9 @@ SEEDS: dict[str, Build] = {
             value=[1e400, 1, 1, 1],
         )
     ),
-    "emission 1e308": changed(set_at("materials", 0, "emissiveFactor", value=[1e308] * 3)),
+    "emission 1e308": changed(
+        set_at("materials", 0, "emissiveFactor", value=[1e308] * 3)
+    ),
     "node of nothing": changed(set_at("nodes", value=[{"mesh": 7}])),
     "transform of NaN": changed(set_at("nodes", 0, "matrix", value=[float("nan")] * 16)),
     "vt 0": edited("model.obj", "vt ", "vt 0\n#"),

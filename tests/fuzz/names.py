@@ -99,7 +99,9 @@ def at_once(*more: str) -> Build:
     def build(rng: random.Random, folder: Path, material: Path) -> Case:
         args = [*process(folder, material), *more]
         whole = json.loads((material / "long.json").read_text())["short"]
-        return Case(folder, args, codes=frozenset({0, 2}), beside=list(args), expect=whole)
+        return Case(
+            folder, args, codes=frozenset({0, 2}), beside=list(args), expect=whole
+        )
 
     return build
 

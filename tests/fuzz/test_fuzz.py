@@ -176,7 +176,9 @@ def test_a_case_is_the_same_wherever_it_runs(tmp_path: Path) -> None:
             folder.mkdir(parents=True)
             case = case_of(name, folder, material)
             same = [word.replace(f"/{turn}/", "/x/") for word in case.args]
-            files = {k: v.replace(f"/{turn}/", "/x/") for k, v in snapshot(folder).items()}
+            files = {
+                k: v.replace(f"/{turn}/", "/x/") for k, v in snapshot(folder).items()
+            }
             built.append((same, files, case.codes, case.stop))
             folder.rename(tmp_path / turn / name.replace("/", "-"))
         assert built[0] == built[1] or videos.SEEDS.keys() & {name}, name

@@ -113,7 +113,10 @@ class Trace:
             ):  # between processes of one machine
                 return
             elif event in ("socket.connect", "socket.getaddrinfo"):
-                told = ["connect", str(args[-1] if event == "socket.connect" else args[0])]
+                told = [
+                    "connect",
+                    str(args[-1] if event == "socket.connect" else args[0]),
+                ]
             elif event in ("subprocess.Popen", "os.exec", "os.posix_spawn", "os.system"):
                 told = ["exec", os.fsdecode(args[0])]
             else:
@@ -171,7 +174,10 @@ def _calls(lines: list[bytes]) -> Iterator[tuple[str, str]]:
         elif m["exec"]:
             yield "exec", _text(m["program"])
         else:
-            yield "open", os.path.realpath(Path(_text(m["at"] or b"/")) / _text(m["path"]))
+            yield (
+                "open",
+                os.path.realpath(Path(_text(m["at"] or b"/")) / _text(m["path"])),
+            )
 
 
 def _text(escaped: bytes) -> str:

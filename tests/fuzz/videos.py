@@ -182,7 +182,9 @@ def stream(rng: random.Random, folder: Path, material: Path) -> Case:
     ]
     whole = [*first, *packets] if rng.random() < 0.7 else packets
     lost = set(
-        rng.sample(range(3, len(whole)), min(rng.choice((0, 1, 1, 3, 20)), len(whole) - 3))
+        rng.sample(
+            range(3, len(whole)), min(rng.choice((0, 1, 1, 3, 20)), len(whole) - 3)
+        )
     )
     (folder / "clip.ts").write_bytes(
         b"".join(p for k, p in enumerate(whole) if k not in lost)
@@ -263,7 +265,9 @@ def any_case(rng: random.Random, folder: Path, material: Path) -> Case:
 
 SEEDS: dict[str, Build] = {
     "ffconcat named mp4": script("ffconcat", "part.mp4", ".mp4"),
-    "ffconcat of a file outside": script("ffconcat", "../outside/secret.mp4", ".ffconcat"),
+    "ffconcat of a file outside": script(
+        "ffconcat", "../outside/secret.mp4", ".ffconcat"
+    ),
     "m3u8 over a ts": script("m3u8", "part.ts", ".m3u8"),
     "m3u8 named mp4 of a file outside": script("m3u8", "../outside/secret.ts", ".mp4"),
     "m3u8 of an address": script("m3u8", "http://127.0.0.1:9/a.ts", ".m3u8"),

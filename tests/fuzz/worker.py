@@ -99,7 +99,10 @@ class Worker:
             whole = kills.long_job(folder, self.material)
             whole.args += ["--overwrite"]
             whole.count = folder / "events"
-            first, second = self.attempt(whole, whole.args), self.attempt(whole, whole.args)
+            first, second = (
+                self.attempt(whole, whole.args),
+                self.attempt(whole, whole.args),
+            )
             assert first.code == second.code == 0, first.err
             cold = self.attempt(Case(folder, [], None, cold=True), ["process", "--help"])
             placed, events = map(int, whole.count.read_text().split())

@@ -50,7 +50,9 @@ def frames_side_by_side(clip: Path, wanted: Sequence[int]) -> np.ndarray:
     """(h, n w, 3) uint8 RGB of the frames with these numbers, upright."""
     with ClipReader(probe(clip)) as reader:
         found = {
-            frame.index: frame.rgb8() for frame in reader.frames() if frame.index in wanted
+            frame.index: frame.rgb8()
+            for frame in reader.frames()
+            if frame.index in wanted
         }
     return np.hstack([found[n] for n in wanted])
 

@@ -63,7 +63,10 @@ def expected_file(preset: Path) -> Path:
 def test_preset_gives_the_expected_picture(
     preset: Path, clip: Path, tmp_path: Path
 ) -> None:
-    actual, expected = first_frame(preset, clip, tmp_path), read_rgb(expected_file(preset))
+    actual, expected = (
+        first_frame(preset, clip, tmp_path),
+        read_rgb(expected_file(preset)),
+    )
     broken = broken_bounds(differences(actual, expected), read_tolerance(SCENE)["golden"])
     assert not broken, (
         f"{broken}: see {write_failure(f'preset-{preset.stem}', actual, expected)}"

@@ -59,7 +59,13 @@ def test_every_scene_states_bounds_and_reasons(name: str) -> None:
 
 @pytest.mark.parametrize(
     "fault",
-    ["model gone", "shadow gone", "faint shadow gone", "moved two pixels", "other colour"],
+    [
+        "model gone",
+        "shadow gone",
+        "faint shadow gone",
+        "moved two pixels",
+        "other colour",
+    ],
 )
 def test_the_comparison_rejects_what_an_eye_rejects(fault: str) -> None:
     scene = SCENES / "0001-orbit"

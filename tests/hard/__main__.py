@@ -78,7 +78,9 @@ def sweep_rows(results: list[Result], seconds: float) -> list[Row]:
     rows = []
     for r in results:
         (answers, answered), (refusals, refused) = r.count(ANSWER), r.count(REFUSAL)
-        verdict = "holds" if not r.wrong else f"{len(r.wrong)} WRONG: {'; '.join(r.wrong)}"
+        verdict = (
+            "holds" if not r.wrong else f"{len(r.wrong)} WRONG: {'; '.join(r.wrong)}"
+        )
         verdict += (
             ", as printed: told, not limited" if r.formula in r.sweep.unbounded else ""
         )
@@ -138,7 +140,9 @@ def main() -> int:
             for s in sorted((ROOT / "sample_scenes").glob("09*"))
             if s.name.startswith(wanted)
         ]
-        with ProcessPoolExecutor(given.jobs, multiprocessing.get_context("spawn")) as pool:
+        with ProcessPoolExecutor(
+            given.jobs, multiprocessing.get_context("spawn")
+        ) as pool:
             for row in pool.map(scene_row, scenes):
                 table.add("scenes", [row])
     if given.only in (None, "cases"):
@@ -177,7 +181,9 @@ class Table:
             self._parts = json.loads(self._kept.read_text(encoding="utf-8"))
 
     def rows(self) -> list[Row]:
-        return [tuple(row) for part in PARTS for row in self._parts.get(part, {}).values()]
+        return [
+            tuple(row) for part in PARTS for row in self._parts.get(part, {}).values()
+        ]
 
     def add(self, part: str, rows: list[Row]) -> None:
         for row in rows:

@@ -135,7 +135,9 @@ CLIPS: tuple[Clip, ...] = (
         "is smeared by 1 to 60 px",
         lambda u: Shown(_swaying(u), motion_px=_log(1, 60, _there(u))),
     ),
-    Clip("is covered by 0 to 95 %", lambda u: Shown(_swaying(u), covered=0.95 * _there(u))),
+    Clip(
+        "is covered by 0 to 95 %", lambda u: Shown(_swaying(u), covered=0.95 * _there(u))
+    ),
     # the first tenths of a pixel move a whole side by less than real prints are off
     Clip(
         "a card slides along a side",
@@ -143,7 +145,8 @@ CLIPS: tuple[Clip, ...] = (
         0.8,
     ),
     Clip(
-        "lies in the dark", lambda u: Shown(_swaying(u), exposure=_log(1, 0.002, _there(u)))
+        "lies in the dark",
+        lambda u: Shown(_swaying(u), exposure=_log(1, 0.002, _there(u))),
     ),
     Clip("drowns in noise", lambda u: Shown(_swaying(u), noise=_log(1, 90, _there(u)))),
     Clip(

@@ -99,7 +99,8 @@ def _focal(delta: float, formula: str, data: Data) -> Answer:
     focus = float(data(50.0 * (1 + delta)))
     return Answer(
         abs(
-            Lens(50.0, 2.8, focus).coc_at_infinity_mm / (50.0 / 2.8 * 50.0 / (focus - 50.0))
+            Lens(50.0, 2.8, focus).coc_at_infinity_mm
+            / (50.0 / 2.8 * 50.0 / (focus - 50.0))
             - 1
         )
     )
@@ -127,7 +128,9 @@ def _hyperfocal(delta: float, formula: str, data: Data) -> Answer | None:
     ).back_mm
     if back is None or np.isinf(back):
         return Answer(0.0) if lens.focus_mm >= far * (1 - 1e-12) else None
-    return Answer(abs(float(circle_of_confusion_mm(lens.focus_mm + back, lens)) / 0.03 - 1))
+    return Answer(
+        abs(float(circle_of_confusion_mm(lens.focus_mm + back, lens)) / 0.03 - 1)
+    )
 
 
 def _distance(delta: float, formula: str, data: Data) -> Answer | None:
@@ -191,7 +194,11 @@ def _wall(delta: float, formula: str, data: Data) -> Answer:
 BOTH, PAPER = ("corrected", "paper"), ("paper",)
 CLOSED_FORMS: tuple[Sweep, ...] = (
     Sweep(
-        "rotation vector", "angle 0", "matrix element", _rotation(0.0), always(1e-12, 1e-6)
+        "rotation vector",
+        "angle 0",
+        "matrix element",
+        _rotation(0.0),
+        always(1e-12, 1e-6),
     ),
     Sweep(
         "rotation vector",
@@ -221,7 +228,11 @@ CLOSED_FORMS: tuple[Sweep, ...] = (
     ),
     Sweep("blur circle", "the focus", "mm", _focus, always(1e-13, 1e-6)),
     Sweep(
-        "blur circle", "distance 0", "share over its limit", _near_lens, always(1e-12, 1e-6)
+        "blur circle",
+        "distance 0",
+        "share over its limit",
+        _near_lens,
+        always(1e-12, 1e-6),
     ),
     Sweep("lens", "focus at the focal length", "share", _focal, _focal_expected),
     Sweep(
@@ -234,7 +245,9 @@ CLOSED_FORMS: tuple[Sweep, ...] = (
         unbounded=PAPER,
     ),
     Sweep("projection", "distance 0", "px", _distance, _distance_expected),
-    Sweep("projection", "an endless focal length", "px", _focal_length, always(1e-3, 1e-3)),
+    Sweep(
+        "projection", "an endless focal length", "px", _focal_length, always(1e-3, 1e-3)
+    ),
     Sweep(
         "voxel wall",
         "opacity 1",

@@ -113,7 +113,8 @@ def _direction(delta: float, formula: str, data: Data) -> Answer | None:
     lamp = found.lights[0]
     # a cone of 95 % is 2.45 standard deviations of a direction's two angles
     return Answer(
-        float(np.degrees(angle_between(lamp.direction, _LAMP))), lamp.confidence_deg / 2.45
+        float(np.degrees(angle_between(lamp.direction, _LAMP))),
+        lamp.confidence_deg / 2.45,
     )
 
 

@@ -19,7 +19,16 @@ from arfx.core.colour import SRGB
 from arfx.core.marker import MarkerSpec
 from arfx.core.marker_codes import cells_per_side, dictionary
 from arfx.core.pose import Pose, rotation_angle_rad, rotation_from_rotvec
-from tests.hard.sweeps import ANSWER, CAMERA, EITHER, REFUSAL, Answer, Data, Expected, Sweep
+from tests.hard.sweeps import (
+    ANSWER,
+    CAMERA,
+    EITHER,
+    REFUSAL,
+    Answer,
+    Data,
+    Expected,
+    Sweep,
+)
 from tests.planar import planar
 
 _FAMILY, _SIDE_M = "36h11", 0.1
@@ -91,7 +100,9 @@ def picture(view: View, draw: int) -> np.ndarray:
     return np.clip(np.rint(255 * code), 0, 255).astype(np.uint8)
 
 
-def _pose(view_at: Callable[[float], View]) -> Callable[[float, str, Data], Answer | None]:
+def _pose(
+    view_at: Callable[[float], View],
+) -> Callable[[float, str, Data], Answer | None]:
     """Turn of the nearer of both poses from the true one, degrees."""
 
     def answer(delta: float, formula: str, data: Data) -> Answer | None:
@@ -162,7 +173,8 @@ def _edge_on(delta: float) -> View:
     view = View(_FACING)
     off = np.arctan2(view.middle_m[1], view.middle_m[2])
     return View(
-        rotation_from_rotvec(np.array([np.pi / 2 - off - delta, 0.0, 0.0])) @ _FACING, 160.0
+        rotation_from_rotvec(np.array([np.pi / 2 - off - delta, 0.0, 0.0])) @ _FACING,
+        160.0,
     )
 
 
@@ -182,7 +194,13 @@ _WAYS = (
 )
 PIXELS: tuple[Sweep, ...] = tuple(
     Sweep(
-        "marker pose, pixels", towards, "deg", _pose(at), _expected(at), (CAMERA,), _DELTAS
+        "marker pose, pixels",
+        towards,
+        "deg",
+        _pose(at),
+        _expected(at),
+        (CAMERA,),
+        _DELTAS,
     )
     for towards, at in _WAYS
 )

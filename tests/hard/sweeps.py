@@ -115,7 +115,8 @@ def informed(
     def expected(delta: float, data: Data) -> Expected:
         least = sigma(delta, data)
         return Expected(
-            ANSWER if least <= useful else REFUSAL if not least < useless else EITHER, least
+            ANSWER if least <= useful else REFUSAL if not least < useless else EITHER,
+            least,
         )
 
     return expected
@@ -229,9 +230,7 @@ def _wrong(expected: Expected, answers: Sequence[Answer | None]) -> str:
         if a.error > SIGMAS * max(
             expected.bound, a.stated if np.isfinite(a.stated) else 0.0
         ):
-            return (
-                f"error {a.error:.1e}, stated {a.stated:.1e}, possible {expected.bound:.1e}"
-            )
+            return f"error {a.error:.1e}, stated {a.stated:.1e}, possible {expected.bound:.1e}"
     return ""
 
 

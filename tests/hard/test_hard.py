@@ -37,7 +37,9 @@ SWEEPS = (*CLOSED_FORMS, *ESTIMATES)
 FEW = DELTAS[::3]
 
 
-@pytest.mark.parametrize("sweep", SWEEPS, ids=[f"{s.name} to {s.towards}" for s in SWEEPS])
+@pytest.mark.parametrize(
+    "sweep", SWEEPS, ids=[f"{s.name} to {s.towards}" for s in SWEEPS]
+)
 def test_answers_and_refusals_are_what_is_owed(sweep: Sweep) -> None:
     for r in run(replace(sweep, kinds=tuple(draws[:2] for draws in sweep.kinds)), FEW):
         assert not r.wrong, f"{r.formula} {r.kind}: {r.wrong}"
@@ -63,7 +65,9 @@ _SINGULAR = [
 def test_poses_towards_a_singularity_are_as_good_as_they_say(name: str) -> None:
     clip = next(c for c in clips.CLIPS if c.name == name)
     found = clips.analyse(clip)
-    assert not found.wrong and (found.opacity == 0).any() and found.owed.any(), found.wrong
+    assert not found.wrong and (found.opacity == 0).any() and found.owed.any(), (
+        found.wrong
+    )
 
 
 def test_the_sweeps_show_what_is_wrong_in_print() -> None:
@@ -80,7 +84,13 @@ def test_the_sweeps_show_what_is_wrong_in_print() -> None:
 
 def _sweep(answer: Answer | None, expected: Expected) -> list[str]:
     made = Sweep(
-        "", "", "", lambda *_: answer, lambda *_: expected, kinds=((EXACT,),), deltas=(1.0,)
+        "",
+        "",
+        "",
+        lambda *_: answer,
+        lambda *_: expected,
+        kinds=((EXACT,),),
+        deltas=(1.0,),
     )
     return run(made)[0].wrong
 

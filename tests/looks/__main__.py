@@ -22,7 +22,9 @@ def table(rows: Sequence[Finding]) -> str:
     lines = ["| clip | what | found | at most | |", "|---|---|---|---|---|"]
     for r in rows:
         verdict = "holds" if r.holds else "**missed**"
-        lines.append(f"| {r.look} | {r.gate} | {r.value:.3g} | {r.most:.3g} | {verdict} |")
+        lines.append(
+            f"| {r.look} | {r.gate} | {r.value:.3g} | {r.most:.3g} | {verdict} |"
+        )
     missed = sum(not r.holds for r in rows)
     return "\n".join([*lines, "", f"{len(rows) - missed} of {len(rows)} hold", ""])
 
@@ -30,7 +32,9 @@ def table(rows: Sequence[Finding]) -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.looks", description=__doc__)
     parser.add_argument("--clip", default="", help="clips whose name holds this")
-    parser.add_argument("--cones", type=int, default=4, help="clips of each case of lamps")
+    parser.add_argument(
+        "--cones", type=int, default=4, help="clips of each case of lamps"
+    )
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "looks")
     given = parser.parse_args()

@@ -34,7 +34,14 @@ KEY_FRAME_S = 1.0
 PRINTS = tuple(f"36h11:{i}" for i in range(6))  # the first is what the object stands on
 CRF = 28.0
 AMBIENT_RGB, LAMP_RGB = (0.22, 0.23, 0.25), (0.42, 0.40, 0.36)
-TURNS_DEG = (0.0, 20.0, 70.0, 160.0, -20.0, -70.0)  # of the prints: where tilted ones face
+TURNS_DEG = (
+    0.0,
+    20.0,
+    70.0,
+    160.0,
+    -20.0,
+    -70.0,
+)  # of the prints: where tilted ones face
 INK, MORE_INK = 0.05, 0.15  # albedos of the two renderings
 HAND_RADIUS_M, HAND_EDGE_M = 0.045, 0.02
 OBJECT_M = 0.03  # that stands on a print
@@ -250,7 +257,8 @@ def hand(look: Look) -> np.ndarray:
         return np.zeros(look.frames)
     begin, end = HAND_S
     return np.asarray(
-        smoothstep((times - begin) / HAND_RISE_S) * smoothstep((end - times) / HAND_RISE_S)
+        smoothstep((times - begin) / HAND_RISE_S)
+        * smoothstep((end - times) / HAND_RISE_S)
     )
 
 
@@ -290,7 +298,10 @@ class PhoneFile(ClipFile):
     def __init__(self, path: Path, scene: SceneFile) -> None:
         super().__init__(path, scene)
         context = self._stream.codec_context
-        context.options = {**context.options, "g": str(round(KEY_FRAME_S * scene.clip.fps))}
+        context.options = {
+            **context.options,
+            "g": str(round(KEY_FRAME_S * scene.clip.fps)),
+        }
 
 
 def film(look: Look, path: Path) -> np.ndarray:
@@ -305,7 +316,9 @@ def film(look: Look, path: Path) -> np.ndarray:
         light = exact * phone.gain(time_s + row_s)[:, None] + np.array(phone.black)
         coded = encode(np.clip(light, 0, 1)).astype(np.float32)
         if phone.halo:
-            coded = coded + phone.halo * (coded - cv2.GaussianBlur(coded, (0, 0), SHARP_PX))
+            coded = coded + phone.halo * (
+                coded - cv2.GaussianBlur(coded, (0, 0), SHARP_PX)
+            )
         coded = coded + rng.normal(0, phone.noise_grey / 255, coded.shape).astype(
             np.float32
         )
@@ -344,5 +357,7 @@ def true_lights(look: Look, of_object: bool) -> list[Light]:
     for gain, there in zip(gains, share * hand(look), strict=True):
         soft = gain * AMBIENT_RGB * (1 - there * (1 - LEFT_OF_AMBIENT))
         rgb = gain * lamp[3:6] * (1 - there)
-        out.append(Light(triple(soft), (DirectionalLight(triple(lamp[:3]), triple(rgb)),)))
+        out.append(
+            Light(triple(soft), (DirectionalLight(triple(lamp[:3]), triple(rgb)),))
+        )
     return out

@@ -105,7 +105,9 @@ def luma_flicker(s: Seen) -> Finding:
 
 def chroma_flicker(s: Seen) -> Finding:
     off = np.abs(np.diff(s.own.chroma, axis=0) - np.diff(s.truth.chroma, axis=0))
-    return Finding(s.look.name, "chroma, levels a frame", _mostly(off.max(1)), MOST_CHROMA)
+    return Finding(
+        s.look.name, "chroma, levels a frame", _mostly(off.max(1)), MOST_CHROMA
+    )
 
 
 def behind(s: Seen) -> Finding:
@@ -122,7 +124,9 @@ def behind(s: Seen) -> Finding:
 
 def tint(s: Seen) -> Finding:
     """Chroma against the picture's, both over their means."""
-    off = (s.own.chroma - s.own.chroma.mean(0)) - (s.truth.chroma - s.truth.chroma.mean(0))
+    off = (s.own.chroma - s.own.chroma.mean(0)) - (
+        s.truth.chroma - s.truth.chroma.mean(0)
+    )
     return Finding(
         s.look.name, "chroma behind the picture", _mostly(np.abs(off).max(1)), 2.0
     )
@@ -165,7 +169,9 @@ def not_half(s: Seen) -> Finding:
     """
     told = [f.plane_shadow is not None for f in s.analysis.facts]
     under = np.array(told)[film.hand(s.look) > 0.9]
-    return Finding(s.look.name, "dark, taken for half in shadow", float(under.mean()), 0.1)
+    return Finding(
+        s.look.name, "dark, taken for half in shadow", float(under.mean()), 0.1
+    )
 
 
 def edge(s: Seen) -> Finding:
@@ -224,7 +230,10 @@ LOOKS: tuple[tuple[Look, tuple[Measure, ...]], ...] = (
     (Look("dim, glossy, small", Phone(dim, noise_grey=1.5), gloss=0.2, **DIM), STEADY),
     (Look("dim, blue ink, small", Phone(dim, noise_grey=2.0), ink=BLUE, **SMALL), STEADY),
     (Look("ramps of 1 stop/s", Phone(ramps, rolling_s=0.02)), (behind, black)),
-    (Look("ramps, tilted prints", Phone(ramps, rolling_s=0.02), **TILTED), (behind, black)),
+    (
+        Look("ramps, tilted prints", Phone(ramps, rolling_s=0.02), **TILTED),
+        (behind, black),
+    ),
     (Look("steps of 20 %", Phone(steps)), (behind, not_shaded)),
     (Look("steps, tilted prints", Phone(steps), **TILTED), (behind, not_shaded)),
     (Look("white balance hunts", HUNTING), (tint, luma_flicker)),

@@ -41,10 +41,14 @@ def test_light_that_flickers_or_lags_is_noticed() -> None:
         return {f.gate.split(",")[0] for f in every if not f.holds}
 
     assert missed(truth) == set()
-    assert missed([one.scaled(1 + 0.02 * rng.normal() * np.ones(3)) for one in truth]) == {
+    assert missed(
+        [one.scaled(1 + 0.02 * rng.normal() * np.ones(3)) for one in truth]
+    ) == {
         "luma",
         "luma behind the exposure",
     }
-    assert "chroma" in missed([one.scaled(1 + 0.02 * rng.normal(size=3)) for one in truth])
+    assert "chroma" in missed(
+        [one.scaled(1 + 0.02 * rng.normal(size=3)) for one in truth]
+    )
     late = [truth[max(k - 3, 0)] for k in range(look.frames)]
     assert "luma behind the exposure" in missed(late)

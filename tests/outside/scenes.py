@@ -30,7 +30,9 @@ WALL_M, OPEN_RAD = (
 NEAR = 0.05  # of a model's size: how far from its contact the plane is looked at
 PLANE_ALBEDO = 0.5
 
-Mesh = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # vertices, normals, uv, faces
+Mesh = tuple[
+    np.ndarray, np.ndarray, np.ndarray, np.ndarray
+]  # vertices, normals, uv, faces
 
 
 @dataclass(frozen=True)
@@ -338,7 +340,10 @@ SCENES = [
 
 def write(scene: OutsideScene, folder: Path) -> tuple[Path, Path]:
     """(model, surroundings): its files, written to the folder."""
-    model, surroundings = folder / f"{scene.model}.glb", folder / f"{scene.environment}.hdr"
+    model, surroundings = (
+        folder / f"{scene.model}.glb",
+        folder / f"{scene.environment}.hdr",
+    )
     model.write_bytes(glb(*MODELS[scene.model]()))
     cv2.imwrite(str(surroundings), panorama(scene.environment)[..., ::-1])
     return model, surroundings

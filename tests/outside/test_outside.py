@@ -66,9 +66,13 @@ def rendered(scene: OutsideScene, folder: Path) -> tuple[Scene, FrameFacts, Laye
     """
     s, facts = placed(scene, folder)
     stages = {name: STAGES[name]() for name in ("raster", "lightmap", "composite")}
-    chosen = {name: level_named(stage.levels, "standard") for name, stage in stages.items()}
+    chosen = {
+        name: level_named(stage.levels, "standard") for name, stage in stages.items()
+    }
     plan = plan_frame(list(stages.values()), chosen, facts, s, s.camera.rect)
-    plate = np.full((plan.rect.height, plan.rect.width, 3), scenes.PLANE_ALBEDO, np.float32)
+    plate = np.full(
+        (plan.rect.height, plan.rect.width, 3), scenes.PLANE_ALBEDO, np.float32
+    )
     result = run_frame(plate, facts, plan, ready_stages(plan, stages, s))
     return s, facts, result.layers.view(plan.rect)
 
@@ -104,7 +108,8 @@ MISSING = {
 def cases(names: Iterable[str]) -> list[Any]:
     """Parameters; strictly expected to fail where MISSING says why."""
     marks = {
-        name: [pytest.mark.xfail(reason=why, strict=True)] for name, why in MISSING.items()
+        name: [pytest.mark.xfail(reason=why, strict=True)]
+        for name, why in MISSING.items()
     }
     return [pytest.param(name, marks=marks.get(name, [])) for name in names]
 
@@ -118,7 +123,9 @@ def test_materials_look_as_another_renderer_makes_them(name: str, tmp_path: Path
     assert error <= MATERIAL_LEVELS, f"{error:.2f} grey levels"
 
 
-@pytest.mark.parametrize("name", cases(s.name for s in scenes.SCENES if s.shows == "plane"))
+@pytest.mark.parametrize(
+    "name", cases(s.name for s in scenes.SCENES if s.shows == "plane")
+)
 def test_the_plane_around_a_contact_is_as_dark_as_another_renderer_makes_it(
     name: str, tmp_path: Path
 ) -> None:

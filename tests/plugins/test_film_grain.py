@@ -76,7 +76,9 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "--no-build-isolation",
     ]
     subprocess.run(
-        [*install, "--target", str(d / "site"), str(d / "source")], check=True, timeout=300
+        [*install, "--target", str(d / "site"), str(d / "source")],
+        check=True,
+        timeout=300,
     )
     return d / "site"
 
@@ -211,7 +213,9 @@ def test_the_report_tells_what_it_did(rendered: Path, folder: Path) -> None:
         if s["name"] == "film_grain"
     )
     assert (
-        row["frames_run"] == FRAMES and row["measured_s"] > 0 and row["predicted_s"] is None
+        row["frames_run"] == FRAMES
+        and row["measured_s"] > 0
+        and row["predicted_s"] is None
     ), "no price is made up"
     assert "film_grain" in (folder / "report" / "report.html").read_text()
 
@@ -267,7 +271,9 @@ def test_what_accuracy_costs_is_measured_with_it(told: dict[str, Result]) -> Non
     assert told["tradeoff"].code == 0, told["tradeoff"].err
     pipelines = told["tradeoff"].json["pipelines"]
     assert pipelines and all("film_grain" in row["levels"] for row in pipelines)
-    assert pipelines[-1]["formula"] == "corrected", "beside the printed one, that the job uses"
+    assert pipelines[-1]["formula"] == "corrected", (
+        "beside the printed one, that the job uses"
+    )
 
 
 def test_it_keeps_the_laws_of_every_stage(site: Path, folder: Path) -> None:

@@ -58,7 +58,12 @@ class Shown:
         markers = [(OTHER, tilted([0.1, 0.2, 0], [0.25, -0.13, Z]))]
         if 12 <= k < 28 or k >= 31:
             markers.append(
-                (M, tilted([0.25 + 0.01 * k, 0.1, 0.02 * k], [-0.14 + 0.004 * k, 0.03, Z]))
+                (
+                    M,
+                    tilted(
+                        [0.25 + 0.01 * k, 0.1, 0.02 * k], [-0.14 + 0.004 * k, 0.03, Z]
+                    ),
+                )
             )
         if 34 <= k < CUT:
             markers.append((TWIN, tilted([0.1, 0.1, 0], [0.14, 0.1, Z])))
@@ -215,7 +220,9 @@ def values(row: Any) -> Any:
         return row.item()
     if isinstance(row, tuple):
         return [values(v) for v in row]
-    return [values(getattr(row, f.name)) for f in fields(row)] if is_dataclass(row) else row
+    return (
+        [values(getattr(row, f.name)) for f in fields(row)] if is_dataclass(row) else row
+    )
 
 
 def test_what_stretches_learned_is_what_the_clip_shows(

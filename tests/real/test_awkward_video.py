@@ -50,7 +50,16 @@ CLIPS = {
         0,
         0,
     ),
-    "testsrc2_odd_height_and_width_mpeg2.mp4": (10, (121, 81), 0, "bt601", False, 8, 0, 0),
+    "testsrc2_odd_height_and_width_mpeg2.mp4": (
+        10,
+        (121, 81),
+        0,
+        "bt601",
+        False,
+        8,
+        0,
+        0,
+    ),
     "testsrc2_odd_height_and_width_vp9.mp4": (25, (321, 241), 0, "bt601", False, 8, 0, 0),
     "testsrc2_vp8.webm": (30, (1280, 720), 0, "bt601", False, 8, 0, 0),
 }

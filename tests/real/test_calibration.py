@@ -65,7 +65,11 @@ def test_our_corners_predict_unseen_views_better_than_the_published_window(
         opencv_set.fitted.views, pictures(folder, "left*.jpg"), strict=True
     ):
         wide = cv2.cornerSubPix(
-            gray, view.pixels.astype(np.float32).reshape(-1, 1, 2), (11, 11), (-1, -1), STOP
+            gray,
+            view.pixels.astype(np.float32).reshape(-1, 1, 2),
+            (11, 11),
+            (-1, -1),
+            STOP,
         )
         views.append(
             type(view)(
@@ -92,7 +96,9 @@ def test_our_corners_predict_unseen_views_better_than_the_published_window(
 def test_the_29_picture_set() -> None:
     folder = DATA / "calibration" / "nbhr-pycalib" / "chessboard"
     result = calibrate(
-        find_board(pictures(folder, "*.jpg")[::2], BoardSpec.parse("chessboard:10x7:25mm"))
+        find_board(
+            pictures(folder, "*.jpg")[::2], BoardSpec.parse("chessboard:10x7:25mm")
+        )
     )
     fx, sd = result.fitted.camera.fx, result.known.standard_deviations[0]
     assert result.verdict.word == "usable", result.verdict.reasons

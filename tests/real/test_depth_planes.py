@@ -49,7 +49,9 @@ def test_a_rendered_room() -> None:
     cloud = cloud_of(depth("ch12_dense_RGBD/depth/1.png", 5000), ICL)
     assert cloud is not None
     found = find_planes(cloud)
-    off_mm = [1e3 * np.abs(cloud.points[p.inliers] @ p.normal - p.offset_m) for p in found]
+    off_mm = [
+        1e3 * np.abs(cloud.points[p.inliers] @ p.normal - p.offset_m) for p in found
+    ]
     assert len(found) >= 5 and max(np.sqrt((off**2).mean()) for off in off_mm) < 1
     assert sum(len(p.inliers) for p in found) > 0.7 * len(cloud.points)
     walls = [p.normal for p in found[:3]]

@@ -14,12 +14,17 @@ from arfx.media.frames import ClipReader
 from tests.observed import Observed
 
 CLIPS = (
-    Path(__file__).parents[3] / "shared" / "data" / "marker_clips" / "wpilibsuite-allwpilib"
+    Path(__file__).parents[3]
+    / "shared"
+    / "data"
+    / "marker_clips"
+    / "wpilibsuite-allwpilib"
 )
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(
-        not CLIPS.is_dir(), reason="the real clips are not beside the project (shared/data)"
+        not CLIPS.is_dir(),
+        reason="the real clips are not beside the project (shared/data)",
     ),
 ]
 

@@ -19,7 +19,8 @@ DUCK = DATA / "models" / "mikedh-trimesh" / "Duck.glb"
 pytestmark = [
     pytest.mark.real,
     pytest.mark.skipif(
-        not CLIPS.is_dir(), reason="the real clips are not beside the project (shared/data)"
+        not CLIPS.is_dir(),
+        reason="the real clips are not beside the project (shared/data)",
     ),
 ]
 
@@ -49,7 +50,9 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
 
 def test_every_frame_comes_out_at_its_time(job: tuple[dict, Path]) -> None:
     a, b = (times(path) for path in (CLIPS / "fieldvideo_long.mp4", job[1]))
-    assert b != sorted(b), "an encoder that stores frames in their order has an easier task"
+    assert b != sorted(b), (
+        "an encoder that stores frames in their order has an easier task"
+    )
     assert len(a) == len(b) == 159
     np.testing.assert_allclose(sorted(a), sorted(b), atol=1e-9)
 

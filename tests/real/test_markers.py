@@ -24,7 +24,8 @@ CLIPS = Path(__file__).parents[2].parent / "shared" / "data" / "marker_clips"
 pytestmark = [
     pytest.mark.real,
     pytest.mark.skipif(
-        not CLIPS.is_dir(), reason="the real clips are not beside the project (shared/data)"
+        not CLIPS.is_dir(),
+        reason="the real clips are not beside the project (shared/data)",
     ),
 ]
 WALL = tuple(MarkerSpec("36h11", i, 0.1651) for i in (3, 4))
@@ -62,7 +63,9 @@ def compared(
             for c in detector.search(luma)
             if c.key in {m.key for m in markers}
         }
-        got = {key: track.quad for key, track in found.tracks.items() if track.time_s == t}
+        got = {
+            key: track.quad for key, track in found.tracks.items() if track.time_s == t
+        }
         missed |= {(k, key) for key in whole.keys() - got.keys()}
         more |= {(k, key) for key in got.keys() - whole.keys()}
         worst = max(
@@ -128,7 +131,8 @@ def test_small_dark_markers() -> None:
     assert not missed and not more and worst < 1e-3
     analysis = analyser.finish()
     assert (
-        analysis.summary["frames_measured"] >= 371 and len(analysis.world_from_marker) == 12
+        analysis.summary["frames_measured"] >= 371
+        and len(analysis.world_from_marker) == 12
     )
 
 

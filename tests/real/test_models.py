@@ -11,10 +11,14 @@ from arfx.core.model import BLEND, MASK
 from arfx.errors import InputError
 from arfx.media.models import load_model
 
-MODELS = Path(__file__).parents[2].parent / "shared" / "data" / "models" / "mikedh-trimesh"
+MODELS = (
+    Path(__file__).parents[2].parent / "shared" / "data" / "models" / "mikedh-trimesh"
+)
 pytestmark = [
     pytest.mark.real,
-    pytest.mark.skipif(not MODELS.is_dir(), reason=f"sample models are absent ({MODELS})"),
+    pytest.mark.skipif(
+        not MODELS.is_dir(), reason=f"sample models are absent ({MODELS})"
+    ),
 ]
 
 
@@ -38,7 +42,9 @@ def test_reads(name: str, faces: int, up: str) -> None:
 
 
 def test_textures_and_alpha_modes() -> None:
-    assert load_model(MODELS / "fuze.obj").parts[0].material.base_texture.picture.shape == (
+    assert load_model(MODELS / "fuze.obj").parts[
+        0
+    ].material.base_texture.picture.shape == (
         1024,
         1024,
         4,
@@ -55,7 +61,9 @@ def test_textures_and_alpha_modes() -> None:
 
 def test_the_duck_stands_upright() -> None:
     low, high = load_model(MODELS / "Duck.glb").bounds
-    assert high[1] - low[1] == pytest.approx(1.54, abs=0.01), "node scale of .01 is applied"
+    assert high[1] - low[1] == pytest.approx(1.54, abs=0.01), (
+        "node scale of .01 is applied"
+    )
 
 
 def test_collada_is_read_or_refused_in_one_line() -> None:

@@ -25,7 +25,9 @@ def nearest_two(
     columns = (np.asarray(v, float)[:, None] for v in (sites.x, sites.y, sites.weight))
     site_x, site_y, weight = columns
     parts = []
-    for p in np.array_split(place, max(place.shape[1] * len(sites) // _AT_ONCE, 1), axis=1):
+    for p in np.array_split(
+        place, max(place.shape[1] * len(sites) // _AT_ONCE, 1), axis=1
+    ):
         away = (p[0] - site_x) ** 2 + (p[1] - site_y) ** 2 - weight
         first, columns_ = away.argmin(0), np.arange(p.shape[1])
         nearest = away[first, columns_]

@@ -27,7 +27,9 @@ def painted(
     lines (h, w) : their strength;  places : along a pixel's side"""
     along = (np.arange(places) + 0.5) / places - 0.5
     labellings = [
-        labelled(sites, image.shape[:2], params, seed, (x, y)) for y in along for x in along
+        labelled(sites, image.shape[:2], params, seed, (x, y))
+        for y in along
+        for x in along
     ]
     count = len(sites)
     area = sum(np.bincount(first.ravel(), minlength=count) for first, _, _ in labellings)
@@ -125,7 +127,9 @@ def pigment(
     like = np.clip(2 * (along - 0.5) + near / 2, 0, 1)
     mix = near / 2 * (1 - apart) + apart * np.minimum(3 * near, 1) * like
     colour = (own + mix * (other - own)) ** 2
-    thickness = flow[first][..., None] + near / 2 * (flow[second] - flow[first])[..., None]
+    thickness = (
+        flow[first][..., None] + near / 2 * (flow[second] - flow[first])[..., None]
+    )
     thickness = (
         thickness + params.edge_darkening * apart * near * (1 - 0.3 * near**2) + paper
     )

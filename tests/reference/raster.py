@@ -71,7 +71,8 @@ class ReferenceRenderer:
 
     def _strip(self, rect: Rect, pose: Pose) -> dict[Layer, np.ndarray]:
         y, x = (
-            a.ravel() for a in np.mgrid[rect.y0 : rect.y1, rect.x0 : rect.x1].astype(float)
+            a.ravel()
+            for a in np.mgrid[rect.y0 : rect.y1, rect.x0 : rect.x1].astype(float)
         )
         n, eye = len(y), pose.inverse().translation_m
         sums, hits = np.zeros((n, 13)), np.zeros(n)  # over the samples taken so far
@@ -223,7 +224,9 @@ class ReferenceRenderer:
 
         def mix(a: np.ndarray) -> np.ndarray:
             p, q, r = corner.T
-            return np.asarray(a[p] * bary[:, :1] + a[q] * bary[:, 1:2] + a[r] * bary[:, 2:])
+            return np.asarray(
+                a[p] * bary[:, :1] + a[q] * bary[:, 1:2] + a[r] * bary[:, 2:]
+            )
 
         normal = normalise(mix(m.normals)) * np.where(back_side, -1.0, 1.0)[:, None]
         unit = normalise(d)
@@ -245,7 +248,9 @@ class ReferenceRenderer:
                 np.ones(len(colour)) if material.alpha_mode == OPAQUE else colour[:, 3]
             )
             alpha[use] = (
-                opacity >= material.alpha_cutoff if material.alpha_mode == MASK else opacity
+                opacity >= material.alpha_cutoff
+                if material.alpha_mode == MASK
+                else opacity
             )
         return values, alpha
 

@@ -126,5 +126,6 @@ def with_real_planes(clip: Analysis, job: AnalysisJob) -> Analysis:
 def spread(items: Sequence[Any]) -> list[Any]:
     """MAPS of them, evenly."""
     return [
-        items[k] for k in np.linspace(0, len(items) - 1, min(MAPS, len(items))).astype(int)
+        items[k]
+        for k in np.linspace(0, len(items) - 1, min(MAPS, len(items))).astype(int)
     ]

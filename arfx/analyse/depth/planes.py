@@ -43,9 +43,7 @@ SAME_DEG = 6.0  # planes of two maps are one if they lean less against each othe
 SAME_NOISES, SAME_M = 3.0, 0.015  # and lie so near each other at their middles
 UPRIGHT = np.cos(np.radians(60))
 BORDER = 0.05  # of the picture's size: what lies so near its border may go on beyond
-RIM = (
-    0.06  # of a plane's extent: points so near one of its sides tell whether it ends there
-)
+RIM = 0.06  # of a plane's extent: points so near one of its sides tell whether it ends there
 CUT = 0.15  # share of those on the picture's border from which on it was the picture that ended
 LEAST_AREA_M2 = 0.02  # what nothing can stand on is no plane to stand on
 
@@ -100,7 +98,9 @@ def _patches(rays: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, float]:
     depth. rays (rows, columns, 3), near (rows, columns) : 1 / depth;  0 = not measured"""
     whole = np.dstack([rays, near])
     rows, columns = (side // PATCH for side in near.shape)
-    whole = whole[: rows * PATCH, : columns * PATCH].reshape(rows, PATCH, columns, PATCH, 4)
+    whole = whole[: rows * PATCH, : columns * PATCH].reshape(
+        rows, PATCH, columns, PATCH, 4
+    )
     parts = whole.swapaxes(1, 2).reshape(-1, PATCH**2, 4)
     count = (parts[..., 3] > 0).sum(1)
     parts, count = parts[count > FULL * PATCH**2], count[count > FULL * PATCH**2]

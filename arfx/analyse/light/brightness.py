@@ -29,7 +29,10 @@ OFF = 0.25  # of what the background shows, by which it is off
 # of a level's logarithm for a radian by which a print turns under lights that nobody knows
 TURN, CHROMA_TURN = 1.0, 0.3
 SCALES = (3, 8, 24)  # readings before and after, over which a change is looked for
-SURE, DOUBTED = 4.0, 10.0  # deviations that a change takes; where the background shows none
+SURE, DOUBTED = (
+    4.0,
+    10.0,
+)  # deviations that a change takes; where the background shows none
 # A codec takes one or two steps of 8-bit chroma at a key frame, 2 % of white's blue each, and
 # leaves them: beyond the noise within seconds, chroma is off by so many deviations of it.
 CHROMA_SURE, CHROMA_NOISE, CHROMA_JUMP = 6.0, 4.0, 15.0
@@ -38,7 +41,9 @@ STATED, MOST_STATED = 0.25, 0.004
 # of the background's change in that of the prints, from which it bears it out
 BORNE_OUT = 0.3
 DRIFT, CHROMA_DRIFT = 0.003, 0.001  # of the logarithm at rest, over the root of a second
-HUBER = 1.345  # deviations beyond which a print disagrees with the others, and counts less
+HUBER = (
+    1.345  # deviations beyond which a print disagrees with the others, and counts less
+)
 LEAST_SIGMA = 3e-4
 NOISE_OVER = 31  # readings, of which the noise is told
 # A step of luma's logarithm from one reading to the next: the light was switched. So much, and
@@ -121,7 +126,9 @@ def common_level(
         common = _means(index, level - offsets[print_], agrees)
         off = np.abs(level - offsets[print_] - common[index])
         sigma = 1.4826 * np.median(off, 0) + LEAST_SIGMA
-        agrees = weight * np.minimum(1, divide(HUBER, (off / sigma).max(1), where_zero=1.0))
+        agrees = weight * np.minimum(
+            1, divide(HUBER, (off / sigma).max(1), where_zero=1.0)
+        )
     return common, offsets
 
 

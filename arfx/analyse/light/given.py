@@ -36,7 +36,9 @@ def light_from_panorama(picture: np.ndarray) -> Light:
     radiance of a white surface.
     """
     small = np.asarray(picture, np.float32)
-    small = cv2.resize(small, (2 * ROWS, ROWS), interpolation=cv2.INTER_AREA).astype(float)
+    small = cv2.resize(small, (2 * ROWS, ROWS), interpolation=cv2.INTER_AREA).astype(
+        float
+    )
     middles = (np.arange(2 * ROWS) + 0.5) / ROWS * np.pi
     azimuth, elevation = np.meshgrid(np.pi - middles, np.pi / 2 - middles[:ROWS])
     direction = direction_of(azimuth, elevation)
@@ -60,7 +62,9 @@ def light_from_panorama(picture: np.ndarray) -> Light:
         d = normalise(power[on] @ direction[on])
         arriving = solid[on] * np.clip(direction[on] @ d, 0, None) / np.pi
         rgb = arriving @ (small[on] * (1 - limit / small[on].mean(-1, keepdims=True)))
-        size = 2 * np.degrees(np.arccos(np.clip(1 - solid[on].sum() / (2 * np.pi), -1, 1)))
+        size = 2 * np.degrees(
+            np.arccos(np.clip(1 - solid[on].sum() / (2 * np.pi), -1, 1))
+        )
         lamps.append(DirectionalLight(triple(d), triple(rgb), float(min(size, 90.0))))
     soft = soft_of(from_panorama(picture), np.eye(3))
     return Light.of_soft(soft, tuple(lamps), "environment file")

@@ -178,7 +178,9 @@ def refine(
         if not len(moving):
             break
         diagonal = np.einsum("nii->ni", now.curvature)
-        added = damping[:, None] * diagonal + 1e-9 * diagonal.max(1, keepdims=True) + 1e-12
+        added = (
+            damping[:, None] * diagonal + 1e-9 * diagonal.max(1, keepdims=True) + 1e-12
+        )
         step = np.linalg.solve(
             now.curvature + added[..., None] * np.eye(p), -now.gradient[..., None]
         )
@@ -190,7 +192,10 @@ def refine(
         there = solve(groups, trial, moved)
         better = there.chi2 < now.chi2
         gains = now.chi2 - there.chi2 > _STALLED * now.chi2
-        dirs[moving[better]], chi2[moving[better]] = trial.dirs[better], there.chi2[better]
+        dirs[moving[better]], chi2[moving[better]] = (
+            trial.dirs[better],
+            there.chi2[better],
+        )
         damping = np.where(better, damping / 5, damping * 6).clip(1e-9, 1e9)
         on = gains | ~better & (damping < _STUCK)
         now = Solution(

@@ -34,7 +34,9 @@ CONSTANT, SWITCHED, SEGMENTS, SHARED, WINDOWS = (
 # between the halves of a clip whose brightness wanders while one normal is seen at a time
 _AGREE_DEG = 3.0
 _GOOD_ERROR = 0.006  # model error up to which an account holds
-_MOST_DRIFT = 0.02  # of the level: an account under which normals change more does not hold
+_MOST_DRIFT = (
+    0.02  # of the level: an account under which normals change more does not hold
+)
 _DRIFT_S = 0.25
 LONGEST_WINDOW_S = 2.0  # changing light is treated as constant for so long at most
 _LEAST_PIECE = 8  # observations of a segment whose light can be asked for
@@ -322,7 +324,8 @@ def _exposure_drift_fit(seen: _Observations) -> LightFit | None:
     if drift(seen.times_s, n, E / g[:, None]) > _MOST_DRIFT:
         return None
     soft = (
-        replace(li, confidence_deg=NO_CONE_DEG, verdict=REFUSED) for li in found.lights[1:]
+        replace(li, confidence_deg=NO_CONE_DEG, verdict=REFUSED)
+        for li in found.lights[1:]
     )
     return replace(found, lights=(found.lights[0], *soft))
 
@@ -350,9 +353,9 @@ def drift(
     count = np.bincount(cell)
     off = off - (np.bincount(cell, off) / count)[cell]
     # numbered without holes: a clip may stand still for years
-    window = np.unique(np.floor((times_s - times_s.min()) / _DRIFT_S), return_inverse=True)[
-        1
-    ]
+    window = np.unique(
+        np.floor((times_s - times_s.min()) / _DRIFT_S), return_inverse=True
+    )[1]
     many = np.bincount(window, count[cell] > 1)
     mean = divide(np.bincount(window, off), many)
     return float(np.sqrt(divide((many * mean**2).sum(), many.sum())))

@@ -58,7 +58,9 @@ def sample_cells(
     margin = float(np.clip(BLURS * blur_px / max(cell_px, 1e-6), MARGIN, MOST_MARGIN))
     inner = 1 - 2 * margin
     k = int(np.clip(round(inner * cell_px / LEAST_STEP_PX), 1, MOST_SAMPLES))
-    along = (np.arange(n)[:, None] + margin + inner * (np.arange(k) + 0.5) / k).ravel() / n
+    along = (
+        np.arange(n)[:, None] + margin + inner * (np.arange(k) + 0.5) / k
+    ).ravel() / n
     place = np.stack(np.meshgrid(along, along), -1).astype(np.float32)
     at = cv2.perspectiveTransform(place, turn)
     clipped = ((linear <= CLIP_LOW) | (linear >= CLIP_HIGH)).any(-1)
@@ -70,4 +72,6 @@ def sample_cells(
     nearest = (margin + inner * 0.5 / k) * cell_px
     leak = math.erfc(nearest / blur_px / math.sqrt(2)) if blur_px > 0 else 0.0
     shared = max(1.0, SHARED_PX2 / max(per_sample, 1e-6))
-    return CellSamples(cells[..., :3].astype(float), place, cells[..., 3] > 0, shared, leak)
+    return CellSamples(
+        cells[..., :3].astype(float), place, cells[..., 3] > 0, shared, leak
+    )

@@ -188,7 +188,9 @@ class _Posed:
         if still_camera:
             static, rotation = rotation, static
         level = light.mean_radiance
-        shown = np.clip(snapshot.picture.astype(np.float32) - np.array(f.bias_rgb), 0, None)
+        shown = np.clip(
+            snapshot.picture.astype(np.float32) - np.array(f.bias_rgb), 0, None
+        )
         return _Posed(
             f.time_s,
             divide(shown, level).astype(np.float32),
@@ -226,7 +228,9 @@ class _Posed:
         )
         rgb = found.reshape(-1, 3)
         for lamp in self.lamps:
-            bright = smoothstep(((rgb * self.level).max(1) - LAMP[0]) / (LAMP[1] - LAMP[0]))
+            bright = smoothstep(
+                ((rgb * self.level).max(1) - LAMP[0]) / (LAMP[1] - LAMP[0])
+            )
             weight = weight * (
                 1 - bright * (directions @ lamp > np.cos(np.radians(LAMP_DEG)))
             )
@@ -278,7 +282,9 @@ def _maps(
     for snapshot in snapshots:
         rgb, weight = snapshot.seen(d, inverse_radius)
         known = np.maximum(known, weight)
-        row = np.concatenate([weight[:, None] * rgb, weight[:, None]], 1).astype(np.float32)
+        row = np.concatenate([weight[:, None] * rgb, weight[:, None]], 1).astype(
+            np.float32
+        )
         lasting += np.float32(LASTING) * row
         near = np.exp(-np.abs(times - snapshot.time_s) / NEAR_S)
         for k in np.flatnonzero(near > LASTING):

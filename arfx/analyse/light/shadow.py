@@ -55,7 +55,9 @@ def real_shadow(cells: np.ndarray, corners_m: np.ndarray) -> PlaneShadow:
     return PlaneShadow((-x, -y, x, y), (tuple(bottom), tuple(top)))
 
 
-def edge_clue(cells: Sequence[np.ndarray], corners_m: np.ndarray) -> dict[str, Any] | None:
+def edge_clue(
+    cells: Sequence[np.ndarray], corners_m: np.ndarray
+) -> dict[str, Any] | None:
     """What the edge tells of the lamp, for the report; None where no shadow lay on the print.
 
     cells : of the frames in which one did;  corners_m : (4, 3) of the print

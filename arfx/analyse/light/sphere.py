@@ -23,7 +23,9 @@ def even_directions(count: int) -> np.ndarray:
     Source: Gonzalez 2010, Measurement of areas on a sphere using Fibonacci lattices."""
     k = np.arange(count) + 0.5
     z, azimuth = 1 - 2 * k / count, k * np.pi * (3 - np.sqrt(5))
-    across = np.stack([np.cos(azimuth), np.sin(azimuth)], -1) * np.sqrt(1 - z * z)[:, None]
+    across = (
+        np.stack([np.cos(azimuth), np.sin(azimuth)], -1) * np.sqrt(1 - z * z)[:, None]
+    )
     out = np.column_stack([across, z])
     out.setflags(write=False)
     return out

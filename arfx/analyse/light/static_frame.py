@@ -130,7 +130,9 @@ class StaticFrameLight:
             )
             use = used_spans(spans)
             starts = [s.start_s for s in spans[1:]]
-            of_frame = use[np.searchsorted(starts, self.times_s(self.frames), side="right")]
+            of_frame = use[
+                np.searchsorted(starts, self.times_s(self.frames), side="right")
+            ]
             models = [soft, *(s.fit.light(s.group) for s in spans)]
             lights = self._follow(models, of_frame + 1)
             verdict, why = best.fit.verdict_of(best.group)
@@ -140,7 +142,9 @@ class StaticFrameLight:
                 "gamma": best.fit.gamma,
                 "account": model,
                 "gain": self._relative_gain(lights) if model == SHARED else None,
-                "spans": [span_report(s, k >= 0) for s, k in zip(spans, use, strict=True)],
+                "spans": [
+                    span_report(s, k >= 0) for s, k in zip(spans, use, strict=True)
+                ],
             }
         why = (
             longest.fit.reason
@@ -313,7 +317,12 @@ def fit_temporal_model(
             break
         on = on if on.any() else np.ones_like(on)
         account, spans = fit_over_time(
-            times_s[on], normals[on], reading.y[on], reading.variance[on], breaks_s, params
+            times_s[on],
+            normals[on],
+            reading.y[on],
+            reading.variance[on],
+            breaks_s,
+            params,
         )
         better = best_verdict(s.fit for s in spans)
         if better == MEASURED or (verdict in ("", REFUSED) and better != verdict):

@@ -40,7 +40,9 @@ LIES = 0.7  # cosine of the plane's normal to the picture's up from which the pl
 # noise
 RIDGE = 2e-3
 AROUND = 1.7  # times the marker's size: where the plane beside it is looked at
-OUTSTANDING = 6.0  # times the panorama's mean radiance from which a pixel belongs to a lamp
+OUTSTANDING = (
+    6.0  # times the panorama's mean radiance from which a pixel belongs to a lamp
+)
 PANORAMA_PX = 16  # side of a face
 
 
@@ -95,7 +97,9 @@ def from_panorama(picture: np.ndarray, size: int = SIZE) -> np.ndarray:
     What is more than OUTSTANDING times as bright as the mean belongs to lamps, which are
     lights of their own: it is cut."""
     a = np.asarray(picture, np.float32)
-    solid = np.cos((np.arange(a.shape[0]) + 0.5) / a.shape[0] * np.pi - np.pi / 2)[:, None]
+    solid = np.cos((np.arange(a.shape[0]) + 0.5) / a.shape[0] * np.pi - np.pi / 2)[
+        :, None
+    ]
     grey = a.mean(-1)
     limit = OUTSTANDING * float((grey * solid).sum() / (solid.sum() * a.shape[1]))
     a = np.ascontiguousarray(
@@ -115,9 +119,9 @@ def from_panorama(picture: np.ndarray, size: int = SIZE) -> np.ndarray:
 def turned(faces: np.ndarray, source_from_dest: np.ndarray) -> np.ndarray:
     """The cube (6, n, n, 3) in other axes. source_from_dest : (3, 3) rotation to the cube's axes"""
     d = face_directions(faces.shape[1])
-    return look_up(faces, d.reshape(-1, 3) @ np.asarray(source_from_dest, float).T).reshape(
-        faces.shape
-    )
+    return look_up(
+        faces, d.reshape(-1, 3) @ np.asarray(source_from_dest, float).T
+    ).reshape(faces.shape)
 
 
 def soft_of(faces: np.ndarray, world_from_camera: np.ndarray) -> np.ndarray:

@@ -47,7 +47,9 @@ class CodedPrints:
         rects = [_rect(t, frame.time_s).clip(_whole(luma)) for t in tracks]
         seen = list[Candidate]()
         for part in _merged(rects):
-            near = [t for t, r in zip(tracks, rects, strict=True) if not r.clip(part).empty]
+            near = [
+                t for t, r in zip(tracks, rects, strict=True) if not r.clip(part).empty
+            ]
             least_px = SHRINK * min(float(t.sides.min()) for t in near)
             seen += self.detector.search(luma, part, min_side_px=least_px)
         return seen
@@ -60,7 +62,9 @@ class CodedPrints:
             return self.detector.search(luma)
         if frame.index == self._empty:
             return []
-        ahead = None if self._in_view or len(missing) < len(self.keys) else frame.following
+        ahead = (
+            None if self._in_view or len(missing) < len(self.keys) else frame.following
+        )
         if ahead is not None and not self._on_reduced(ahead(), missing):
             self._empty = frame.index + 1
             return []
@@ -83,7 +87,9 @@ def _whole(luma: np.ndarray) -> Rect:
 def _rect(track: Track, time_s: float) -> Rect:
     """Where a marker may be."""
     shift = track.predicted(time_s).mean(0) - track.quad.mean(0)
-    spread = max(0.4 * float(track.sides.max()), 20.0) * (1 + 0.25 * min(track.missing, 4))
+    spread = max(0.4 * float(track.sides.max()), 20.0) * (
+        1 + 0.25 * min(track.missing, 4)
+    )
     return Rect.around(track.quad + shift, spread + 0.5 * float(np.abs(shift).max()))
 
 

@@ -131,7 +131,9 @@ def refine_corners(
     )
 
 
-def shared_px(corners_px: np.ndarray, blur_px: np.ndarray, cells: np.ndarray) -> np.ndarray:
+def shared_px(
+    corners_px: np.ndarray, blur_px: np.ndarray, cells: np.ndarray
+) -> np.ndarray:
     """(n,) standard deviation of a corner coordinate that all samples of a side share,
     beside Corners.sigma_px.
 
@@ -197,7 +199,9 @@ def _bend(quad: np.ndarray, camera: Camera | None) -> np.ndarray:
     )
     ideal = undistort(quad.reshape(-1, 1, 2), camera.matrix, camera.distortion)
     ideal = ideal.reshape(quad.shape)
-    ideal += (quad - centre) / focal - camera.distort(ideal)  # OpenCV takes five steps only
+    ideal += (quad - centre) / focal - camera.distort(
+        ideal
+    )  # OpenCV takes five steps only
     side = (ideal[:, [1, 2, 3, 0]] - ideal)[:, :, None]
     share = np.full((*foot.shape[:3], 1), 0.0) + FRACTIONS[:, None]
     for _ in range(2):  # where along the ideal side: the lens moves points along it, too
@@ -218,7 +222,9 @@ def chosen_transfer(in_light: Sequence[float], in_code: Sequence[float]) -> str:
     """LIGHT or CODE: in which edges are symmetric.
 
     in_light : skew of all prints;  in_code : of those that are not symmetric in light"""
-    known, others = ([s for s in skews if np.isfinite(s)] for skews in (in_light, in_code))
+    known, others = (
+        [s for s in skews if np.isfinite(s)] for skews in (in_light, in_code)
+    )
     if len(known) < SIGHTINGS or not others:
         return LIGHT
     skew, other = (abs(float(np.median(skews))) for skews in (known, others))

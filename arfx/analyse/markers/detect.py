@@ -138,7 +138,9 @@ class MarkerDetector:
         detector leaves out anyway
         """
         height, width = luma.shape
-        area = Rect.of(width, height) if rect is None else rect.clip(Rect.of(width, height))
+        area = (
+            Rect.of(width, height) if rect is None else rect.clip(Rect.of(width, height))
+        )
         if self._detector is None or area.width < 8 or area.height < 8:
             return []
         image = luma[area.slices]
@@ -152,8 +154,12 @@ class MarkerDetector:
         # A reduced image is searched to see whether there is something at all: one
         # threshold window finds the same markers as OpenCV's three (3, 13, 23 px) on every
         # real test clip, in less than half of the time.
-        self._parameters.adaptiveThreshWinSizeMin = _REDUCED_WINDOW_PX if factor > 1 else 3
-        self._parameters.adaptiveThreshWinSizeMax = _REDUCED_WINDOW_PX if factor > 1 else 23
+        self._parameters.adaptiveThreshWinSizeMin = (
+            _REDUCED_WINDOW_PX if factor > 1 else 3
+        )
+        self._parameters.adaptiveThreshWinSizeMax = (
+            _REDUCED_WINDOW_PX if factor > 1 else 23
+        )
         self._parameters.minMarkerPerimeterRate = (
             4 * max(self.min_side_px, min_side_px) / max(image.shape)
         )

@@ -128,7 +128,9 @@ class Light:
         """(m, k) at places (m, k) complex64 px; the border is replicated."""
         xy = places - self.origin
         border = cv2.BORDER_REPLICATE
-        return cv2.remap(self.values, xy.real, xy.imag, cv2.INTER_LINEAR, borderMode=border)
+        return cv2.remap(
+            self.values, xy.real, xy.imag, cv2.INTER_LINEAR, borderMode=border
+        )
 
 
 def profiles(

@@ -68,7 +68,11 @@ def misplaced_px(
     xy = cv2.perspectiveTransform(at, h).astype(np.float32)
     light = table[
         cv2.remap(
-            luma, xy[..., 0], xy[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            luma,
+            xy[..., 0],
+            xy[..., 1],
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
         )
     ]
     light = 255 - light if inverted else light

@@ -18,9 +18,7 @@ from arfx.core.numerics import divide
 
 SAMPLES = 4  # a side of a cell; those at its border are mixed with its neighbour
 CLEAN = 0.95  # share of the cells around that are paper, and of the border's that are ink
-MARGIN = (
-    0.25  # of the bits from half way between ink and paper; 1 = as ink and paper themselves
-)
+MARGIN = 0.25  # of the bits from half way between ink and paper; 1 = as ink and paper themselves
 HOLDS_FRAMES = 3  # a reading that is not sure by itself has to be in so many frames
 HOLDS, SURE = 1e-2, 1e-4  # chance at which a reading counts, and at which one is enough
 

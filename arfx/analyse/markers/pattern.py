@@ -27,11 +27,17 @@ from arfx.core.numerics import divide
 from arfx.core.rect import Rect
 from arfx.errors import ConfigError, InputError
 
-BASE_PX, LEVEL = 512, 0.5**0.5  # longest side of the finest level; ratio of one to the next
+BASE_PX, LEVEL = (
+    512,
+    0.5**0.5,
+)  # longest side of the finest level; ratio of one to the next
 LEAST_LEVEL_PX = 32  # longest side of the coarsest level
 LEAST_PICTURE_PX = 64  # shorter side of a picture that can be used
 LEAST_SIDE_PX = 20.0  # of the print in the frame: smaller ones tell no pose
-FEATURES, FRAME_FEATURES = 250, 1200  # at most, of one view of the picture, and of a frame
+FEATURES, FRAME_FEATURES = (
+    250,
+    1200,
+)  # at most, of one view of the picture, and of a frame
 LEAST_FEATURES = 100  # of the picture in all views
 RATIO = 0.8  # nearest over second nearest descriptor
 LEAST_MATCHES, LEAST_POINTS = 8, 12
@@ -249,7 +255,9 @@ def plausible(quad: np.ndarray) -> bool:
 
 def homography_of(quad: np.ndarray) -> np.ndarray:
     """(3, 3) from the unit square to a quad (4, 2)."""
-    return cv2.getPerspectiveTransform(_CORNERS.astype(np.float32), quad.astype(np.float32))
+    return cv2.getPerspectiveTransform(
+        _CORNERS.astype(np.float32), quad.astype(np.float32)
+    )
 
 
 def coded_luma(linear: np.ndarray, ink: float, paper: float) -> np.ndarray:
@@ -327,7 +335,11 @@ class _Match(NamedTuple):
 
 
 def _match(
-    level: Level, luma: np.ndarray, camera: Camera, ideal_from_unit: np.ndarray, reach: int
+    level: Level,
+    luma: np.ndarray,
+    camera: Camera,
+    ideal_from_unit: np.ndarray,
+    reach: int,
 ) -> _Match | None:
     """None where too few corners agree on a homography. reach : further halvings of the images"""
     cut, (h, w) = ideal_from_unit @ level.unit_from_level, level.even.shape
@@ -361,7 +373,9 @@ def _aligned(match: _Match, camera: Camera) -> Alignment | None:
     units, moved = match.units[match.agree], match.moved[match.agree]
 
     def missed_by(change: np.ndarray) -> np.ndarray:
-        return (_mapped(match.level_from_unit @ _nearly_one(change), units) - moved).ravel()
+        return (
+            _mapped(match.level_from_unit @ _nearly_one(change), units) - moved
+        ).ravel()
 
     def corners_by(change: np.ndarray) -> np.ndarray:
         about = match.ideal_from_unit @ _nearly_one(change)

@@ -145,7 +145,9 @@ def _check_markers(job: AnalysisJob) -> None:
     twice = [k for k, n in Counter(m.key for m in job.markers).items() if n > 1]
     if twice:
         raise ConfigError(f"marker {twice[0]} is configured twice")
-    if job.marker_map is not None and not any(m.key in job.marker_map for m in job.markers):
+    if job.marker_map is not None and not any(
+        m.key in job.marker_map for m in job.markers
+    ):
         raise ConfigError(
             "the marker map holds none of the configured markers",
             f"it holds {', '.join(job.marker_map)}",

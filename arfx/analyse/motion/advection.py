@@ -25,11 +25,11 @@ from arfx.core.pose import Pose
 # fraction of what is seen now in the detail of an epoch; the rest is what was there before
 _NEW_DETAIL = 0.1
 _RELAX = 0.02  # fraction of the field's bend that is taken out per epoch
-_LEAST_DET = 0.15  # of the field's own mean: triangles smaller than that are about to fold
-_NEW_SHOT_PX = 7919.0  # the pattern of another shot comes from that far away
-AROUND = (
-    2.4  # sizes of the marker: within this, its pose gives the motion better than the flow
+_LEAST_DET = (
+    0.15  # of the field's own mean: triangles smaller than that are about to fold
 )
+_NEW_SHOT_PX = 7919.0  # the pattern of another shot comes from that far away
+AROUND = 2.4  # sizes of the marker: within this, its pose gives the motion better than the flow
 
 
 def with_advection(

@@ -98,7 +98,10 @@ class BackgroundMotion:
     """Collects MotionSteps of a part of the clip, in order, and the pictures that it is
     compared with those beside it by."""
 
-    tables: ClassVar[Mapping[str, type]] = {"steps": MotionStep, "key_pictures": KeyPicture}
+    tables: ClassVar[Mapping[str, type]] = {
+        "steps": MotionStep,
+        "key_pictures": KeyPicture,
+    }
 
     def __init__(self) -> None:
         self.steps: list[MotionStep] = []
@@ -271,7 +274,8 @@ def refined(
     back (gh, gw, 2) : px of the small picture: what is at a place there is at place + back
     in the reference;  small, reference (h, w) uint8;  trusted (h, w)"""
     now, then = (
-        cv2.GaussianBlur(a.astype(np.float32), (0, 0), _FINE_PX) for a in (small, reference)
+        cv2.GaussianBlur(a.astype(np.float32), (0, 0), _FINE_PX)
+        for a in (small, reference)
     )
     (rows, columns), (h, w) = hats, small.shape
     y, x = np.mgrid[0:h, 0:w].astype(np.float32)

@@ -175,13 +175,17 @@ def decide_static(
         )
         along = (missed < 2 * still + DRIFT * way).mean()
         moved = camera.project(np.stack([a.translation_m, b.translation_m]))
-        shares.append(((way < still).mean(), along, np.linalg.norm(np.diff(moved, axis=0))))
+        shares.append(
+            ((way < still).mean(), along, np.linalg.norm(np.diff(moved, axis=0)))
+        )
     rest, along, moves = np.array(shares).reshape(-1, 3).T
     evidence = {
         "samples": float(len(shares)),
         "at_rest": float(rest.mean()) if shares else 0.0,
         "with_marker": float(along.mean()) if shares else 0.0,
-        "marker_moves_px": float(np.nanmedian(moves)) if np.isfinite(moves).any() else 0.0,
+        "marker_moves_px": float(np.nanmedian(moves))
+        if np.isfinite(moves).any()
+        else 0.0,
     }
     otherwise = "marker" if evidence["with_marker"] > 0.6 else "both"
     return ("camera" if evidence["at_rest"] > AT_REST else otherwise), evidence

@@ -61,7 +61,9 @@ def quantiles(values: Sequence[float] | np.ndarray) -> dict[str, float | None]:
     )
 
 
-def pose_checks(facts: Sequence[FrameFacts], summary: Mapping[str, Any]) -> Iterator[Check]:
+def pose_checks(
+    facts: Sequence[FrameFacts], summary: Mapping[str, Any]
+) -> Iterator[Check]:
     def at_most(
         name: str, value: float | None, limit: float, action: str
     ) -> Iterator[Check]:
@@ -76,7 +78,9 @@ def pose_checks(facts: Sequence[FrameFacts], summary: Mapping[str, Any]) -> Iter
     )
     action = "two planar poses fit almost equally: chosen by the motion of the whole clip"
     half = sum(summary["markers_seen"].values()) // 2
-    yield from at_most("ambiguous sightings", summary["ambiguous_sightings"], half, action)
+    yield from at_most(
+        "ambiguous sightings", summary["ambiguous_sightings"], half, action
+    )
     ratios = _ambiguities(facts)
     if len(ratios):
         low = float(np.percentile(ratios, 5))

@@ -145,7 +145,9 @@ def _relative_pose(prints: Prints, pairs: np.ndarray) -> tuple[float, Pose]:
     judges = _evenly(pairs, _JUDGES)
     a, seen = prints.poses.take(judges[:, 0]), prints.seen.take(judges[:, 1])
     turned = (a.rotation[:, :, None] @ turn).reshape(-1, 3, 3)
-    moved = (a.rotation[:, :, None] @ shift[..., None])[..., 0] + a.translation[:, :, None]
+    moved = (a.rotation[:, :, None] @ shift[..., None])[..., 0] + a.translation[
+        :, :, None
+    ]
     seen = seen.take(np.repeat(np.arange(len(judges)), 2 * len(turn)))
     missed = rms_px(residuals(turned, moved.reshape(-1, 3), seen), seen.weight)
     missed = missed.reshape(len(judges), 2, len(turn))
@@ -181,7 +183,9 @@ def _adjust(
     local[prints.marker] = prints.seen.points_m
     seen = observe(prints, n, layout)
     # from the planar solution that fits all its markers best
-    rotation, translation, row = camera_poses(prints, np.arange(len(prints.frame)), layout)
+    rotation, translation, row = camera_poses(
+        prints, np.arange(len(prints.frame)), layout
+    )
     frame = prints.frame[row]
     one = seen.take(frame)
     misfit, _ = huber_cost(residuals(rotation, translation, one), one.weight)
@@ -231,7 +235,9 @@ def _adjust(
 
 def arrays(poses: Sequence[Pose]) -> tuple[np.ndarray, np.ndarray]:
     """Rotation (n, 3, 3), translation (n, 3)."""
-    return np.array([p.rotation for p in poses]), np.array([p.translation_m for p in poses])
+    return np.array([p.rotation for p in poses]), np.array(
+        [p.translation_m for p in poses]
+    )
 
 
 def observe(prints: Prints, n: int, layout: Sequence[Pose]) -> Observed:

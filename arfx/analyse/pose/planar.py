@@ -62,12 +62,16 @@ def lens_scale(camera: Camera, ideal: np.ndarray) -> np.ndarray:
     return camera.stretch(ideal) * np.array([[camera.fx], [camera.fy]])
 
 
-def _in_camera(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> np.ndarray:
+def _in_camera(
+    rotation: np.ndarray, translation: np.ndarray, seen: Observed
+) -> np.ndarray:
     """(n, p, 3) the corners in camera coordinates."""
     return seen.points_m @ np.swapaxes(rotation, 1, 2) + translation[:, None]
 
 
-def residuals(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> np.ndarray:
+def residuals(
+    rotation: np.ndarray, translation: np.ndarray, seen: Observed
+) -> np.ndarray:
     """(n, p, 2) px, predicted minus seen.
 
     Points behind the camera count as straight on its plane (EPS_DEPTH_M).

@@ -83,7 +83,8 @@ def _density_over_time(chain: Chain, shot: np.ndarray) -> np.ndarray:
 
         def total(trial: np.ndarray) -> float:
             return (
-                evidence(part, trial[GROUP]) - _HOLD * np.abs(np.log10(trial / shot)).sum()
+                evidence(part, trial[GROUP])
+                - _HOLD * np.abs(np.log10(trial / shot)).sum()
             )
 
         return _ascend(total, shot, range(SHAKE + 1), 10)[1]
@@ -145,9 +146,9 @@ def _density_of_shot(chain: Chain) -> np.ndarray:
     _, other = _ascend(total, start, (SIDEWAYS, TURN, DISTANCE), 10)
     shaking, other = _ascend(total, other, (SHAKE, ROLL, SIDEWAYS, TURN), 10)
     if shaking > moving + _EARNED:
-        return _ascend(total, other, 2 * (SHAKE, ROLL, DISTANCE, SIDEWAYS, TURN), 10**0.5)[
-            1
-        ]
+        return _ascend(
+            total, other, 2 * (SHAKE, ROLL, DISTANCE, SIDEWAYS, TURN), 10**0.5
+        )[1]
     return _ascend(total, shot, 2 * (TURN, ROLL, SIDEWAYS, DISTANCE), 10**0.5)[1]
 
 

@@ -95,7 +95,9 @@ def _bundle(
         # own facts
         content = "" if folder else file_digest(file, with_time=False)
         parts.append(
-            Part(Path(os.path.relpath(file, root)).as_posix(), file.stat().st_size, content)
+            Part(
+                Path(os.path.relpath(file, root)).as_posix(), file.stat().st_size, content
+            )
         )
     return Bundle(section, key, places(path, maps), folder, tuple(parts))
 
@@ -110,7 +112,9 @@ def find(bundle: Bundle) -> Path:
         if reason is None:
             return Path(place)
         reasons.append(reason)
-    raise RenderError("; ".join(reasons), "--map-path HERE=THERE says where workers see it")
+    raise RenderError(
+        "; ".join(reasons), "--map-path HERE=THERE says where workers see it"
+    )
 
 
 def _differs(bundle: Bundle, path: Path) -> str | None:

@@ -178,7 +178,9 @@ def _work(placed: _Placed, first: int, last: int, name: str) -> dict[str, Any]:
     raise failed
 
 
-def _hand_over(store: Store, folder: JobFolder, file: Path, result: dict[str, Any]) -> None:
+def _hand_over(
+    store: Store, folder: JobFolder, file: Path, result: dict[str, Any]
+) -> None:
     """A chunk's previews, then the file, into the store; there the names of all end with
     the digest of the content.
     """

@@ -70,7 +70,9 @@ def _slurm(path: Path) -> ClusterSpec:
     settings = {"jobs": 1, "processes": settings["cores"], **settings}
     threads = max(settings["cores"] // settings["processes"], 1)
     return ClusterSpec(
-        SLURM, workers=settings["jobs"] * settings["processes"] * threads, settings=settings
+        SLURM,
+        workers=settings["jobs"] * settings["processes"] * threads,
+        settings=settings,
     )
 
 

@@ -77,7 +77,9 @@ class Cluster:
         for, facts differ in their last digits.
         key : of the analysis;  here : how this machine does it where all are refused"""
 
-        def run(tasks: Iterator[Task], count: int, frames: int, progress: Done) -> Results:
+        def run(
+            tasks: Iterator[Task], count: int, frames: int, progress: Done
+        ) -> Results:
             if count <= 1:
                 yield from here(tasks, count, frames, progress)
                 return

@@ -25,7 +25,9 @@ def disc(radius: float, blades: int = 0, turn_deg: float = 0.0) -> np.ndarray:
     px = np.arange(-half, half + 1.0)
     lines = px[:, None] + (np.arange(_SUBROWS) + 0.5) / _SUBROWS - 0.5
     left, right = chord(lines, radius, blades, turn_deg)
-    within = np.minimum(right[..., None], px + 0.5) - np.maximum(left[..., None], px - 0.5)
+    within = np.minimum(right[..., None], px + 0.5) - np.maximum(
+        left[..., None], px - 0.5
+    )
     area = within.clip(0).mean(1)
     return (area / area.sum()).astype(np.float32)
 

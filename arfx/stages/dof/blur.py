@@ -52,7 +52,10 @@ def blurred(
     result = np.zeros((out.height, rect.width, 3), np.float32)
 
     def finish(top: int, bottom: int) -> None:
-        band, to = Rect(rect.x0, out.y0 + top, rect.x1, out.y0 + bottom), result[top:bottom]
+        band, to = (
+            Rect(rect.x0, out.y0 + top, rect.x1, out.y0 + bottom),
+            result[top:bottom],
+        )
         touched = np.zeros(to.shape[:2], np.uint8)
         for layer, light in zip(layers, spread, strict=True):
             part = layer.rect.clip(band)
@@ -76,7 +79,9 @@ def _boosted(light: np.ndarray, boost: float) -> np.ndarray:
 
 
 @line_kernel(fastmath=FAST)
-def lay_over(out, touched, spread, light, radius, sharp_px2):  # pragma: no cover - compiled
+def lay_over(
+    out, touched, spread, light, radius, sharp_px2
+):  # pragma: no cover - compiled
     """out (h, w, 3) under a layer before it; touched (h, w) = 1 where light of it was spread to.
 
     spread (h, w, c) : that light;  light (h, w, c) : before it was spread, from pixels of radius.

@@ -190,5 +190,7 @@ def box_of(mask: np.ndarray) -> Rect:
     """Smallest rectangle that holds what is not 0."""
     ys, xs = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     return (
-        Rect(int(xs[0]), int(ys[0]), int(xs[-1]) + 1, int(ys[-1]) + 1) if len(ys) else EMPTY
+        Rect(int(xs[0]), int(ys[0]), int(xs[-1]) + 1, int(ys[-1]) + 1)
+        if len(ys)
+        else EMPTY
     )

@@ -76,7 +76,9 @@ def lens_points(count: int, blades: int, turn_deg: float) -> np.ndarray:
         within = np.arctan((2 * part / wedge - 1) * np.tan(wedge / 2))
         radius = radius * circumradius(blades) * np.cos(wedge / 2) / np.cos(within)
         angle = number * wedge + wedge / 2 + within + np.radians(turn_deg)
-    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), square[:, 2:]])
+    return np.column_stack(
+        [radius * np.cos(angle), radius * np.sin(angle), square[:, 2:]]
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +128,9 @@ class LensView:
         corners = self.scene.directions.at(rows - 0.5, columns - 0.5).astype(float)
         known = np.isfinite(corners).all(-1)
         above, below = known[:-1], known[1:]
-        active = np.flatnonzero(above[:, 1:] & above[:, :-1] & below[:, 1:] & below[:, :-1])
+        active = np.flatnonzero(
+            above[:, 1:] & above[:, :-1] & below[:, 1:] & below[:, :-1]
+        )
         sums, count = np.zeros((part.area, 12)), np.ones((part.area, 1))
         first, last = 0, FIRST
         while len(active) and first < len(points):
@@ -147,7 +151,11 @@ class LensView:
         )
 
     def _add(
-        self, sums: np.ndarray, active: np.ndarray, corners: np.ndarray, points: np.ndarray
+        self,
+        sums: np.ndarray,
+        active: np.ndarray,
+        corners: np.ndarray,
+        points: np.ndarray,
     ) -> None:
         """More rays of the pixels `active`, from these points."""
         n, pose, now = len(points), self.facts.pose, self.now
@@ -188,7 +196,9 @@ class LensView:
         place = self.camera.project(seen) - corner - (points[:, 2:] - 0.5)
         h, w = self.sharp.shape[:2]
         x, y = (
-            np.rint(np.where(np.isfinite(place), place, 0.0)).astype(int).transpose(2, 0, 1)
+            np.rint(np.where(np.isfinite(place), place, 0.0))
+            .astype(int)
+            .transpose(2, 0, 1)
         )
         return self.sharp[y.clip(0, h - 1), x.clip(0, w - 1)]
 

@@ -84,7 +84,9 @@ def circle_of_confusion(
     else:
         fnumber = interpolate_ratio(fnumber_keys(params.fnumber), facts.time_s)
         lens = Lens(
-            focal_mm(params, facts, scene), fnumber, 1e3 / focus if focus > 0 else math.inf
+            focal_mm(params, facts, scene),
+            fnumber,
+            1e3 / focus if focus > 0 else math.inf,
         )
         px_per_dioptre = 0.5e-3 * lens.coc_mm_per_dioptre * width / params.sensor_width_mm
     return CircleOfConfusion(px_per_dioptre * fade, focus, limit, mm_per_px)

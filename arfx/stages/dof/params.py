@@ -21,7 +21,8 @@ _T = TypeVar("_T")
 def focal_keys(value: float | str) -> list[tuple[float, float]]:
     """[(time s, focal length mm, 0 = the calibration's)] in order of time. Raises ConfigError."""
     return _keys(
-        value, lambda text: _number(text.lower().removesuffix("mm"), "35@0s, 85@2s", 0, 1e6)
+        value,
+        lambda text: _number(text.lower().removesuffix("mm"), "35@0s, 85@2s", 0, 1e6),
     )
 
 

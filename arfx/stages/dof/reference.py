@@ -69,7 +69,9 @@ def render(
     )
     fraction, colour = view.seen()
     opacity = float(facts.opacity)
-    return (blurred + opacity * (colour - blurred * fraction[..., None])).astype(np.float32)
+    return (blurred + opacity * (colour - blurred * fraction[..., None])).astype(
+        np.float32
+    )
 
 
 def _directions(camera: Camera, rect: Rect) -> np.ndarray:
@@ -106,7 +108,9 @@ def _planes(
     return out
 
 
-def _circles(dioptre: np.ndarray, coc: CircleOfConfusion) -> tuple[np.ndarray, np.ndarray]:
+def _circles(
+    dioptre: np.ndarray, coc: CircleOfConfusion
+) -> tuple[np.ndarray, np.ndarray]:
     """Blur radius (h, w) px, and its gradient with its sign, as a fraction of it, (h, w, 2) along
     y and x, 1/px."""
     signed = coc.px_per_dioptre * (dioptre - coc.focus)
@@ -167,7 +171,9 @@ def _scattered(
 ) -> np.ndarray:
     """(h, w, 4) sums of light and weight. radius, slope : of `_circles`"""
     boost = 1 + params.highlight_boost * np.clip((colour.max(-1) - 0.9) / 0.1, 0, 1)
-    light = np.dstack([colour * boost[..., None], np.ones_like(weight)]) * weight[..., None]
+    light = (
+        np.dstack([colour * boost[..., None], np.ones_like(weight)]) * weight[..., None]
+    )
     steps = np.round(np.sqrt(radius) * _SIZES).astype(np.int64)
     sizes, which = np.unique(steps, return_inverse=True)
     lens = params.blades, params.blade_turn_deg

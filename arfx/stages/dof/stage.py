@@ -141,7 +141,9 @@ class Dof(Stage):
                 )
             }
         layers = layers_of_light(now, facts, real, prepared, coc, self.params)
-        image = blurred(now[Layer.IMAGE], layers, view.out, LEVELS[view.level], self.params)
+        image = blurred(
+            now[Layer.IMAGE], layers, view.out, LEVELS[view.level], self.params
+        )
         rows = Rect(now.rect.x0, view.out.y0, now.rect.x1, view.out.y1)
         return {Layer.IMAGE: Pixels(rows, image).clip(view.out)}
 

@@ -39,7 +39,9 @@ def seams(job: JobView) -> Iterator[Check]:
     for rgba in _evenly([*job.scene.environment_maps.values()]):
         block = rgba.shape[1] // _COARSE_PX
         blocks = (
-            rgba[..., :3].astype(float).reshape(6, _COARSE_PX, block, _COARSE_PX, block, 3)
+            rgba[..., :3]
+            .astype(float)
+            .reshape(6, _COARSE_PX, block, _COARSE_PX, block, 3)
         )
         maps.append(blocks.mean((2, 4)))
     if maps:
@@ -51,7 +53,10 @@ def seams(job: JobView) -> Iterator[Check]:
 def _evenly(things: Sequence[T]) -> list[T]:
     """_LOOKS of them, or fewer."""
     return (
-        [things[i] for i in np.unique(np.linspace(0, len(things) - 1, _LOOKS).astype(int))]
+        [
+            things[i]
+            for i in np.unique(np.linspace(0, len(things) - 1, _LOOKS).astype(int))
+        ]
         if things
         else []
     )
@@ -100,7 +105,9 @@ def furnace_mean(job: JobView, level: str) -> float | None:
     from scipy.ndimage import binary_erosion
 
     scene = job.scene
-    white = Material("white", base_colour=(1.0, 1.0, 1.0, 1.0), roughness=1.0, specular=0.0)
+    white = Material(
+        "white", base_colour=(1.0, 1.0, 1.0, 1.0), roughness=1.0, specular=0.0
+    )
     model = replace(
         scene.model,
         parts=tuple(replace(p, material=white, colours=None) for p in scene.model.parts),
@@ -110,7 +117,9 @@ def furnace_mean(job: JobView, level: str) -> float | None:
     camera = Camera(
         width,
         height,
-        np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]]),
+        np.array(
+            [[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]]
+        ),
     )
     even = Light(ambient_rgb=(1.0, 1.0, 1.0), lights=())
     small = replace(scene, camera=camera, model=model, light=even, surface_m=None)

@@ -70,7 +70,9 @@ class IncomingLight:
         planes, side = self.planes, self.picture.shape[1]
         shares = [cv2.resize(a.astype(np.float32), (side, side)) for a in left]
         picture = (self.picture * np.stack(shares)).astype(np.float32)
-        extents = np.column_stack([np.full(len(planes.axes), planes.half_m), planes.bounds])
+        extents = np.column_stack(
+            [np.full(len(planes.axes), planes.half_m), planes.bounds]
+        )
         textures = mip_chain(picture)
         return Background(
             planes.axes, extents.astype(np.float32), *textures, self.environment
@@ -143,7 +145,10 @@ def mean_in_steps(mean: np.ndarray) -> np.ndarray:
 
 def light_in_steps(light: Light) -> Light:
     def coarse(lamp: DirectionalLight) -> DirectionalLight:
-        rgb, size_deg = triple(_powers(lamp.rgb, _LIGHT_STEP)), round(lamp.angular_size_deg)
+        rgb, size_deg = (
+            triple(_powers(lamp.rgb, _LIGHT_STEP)),
+            round(lamp.angular_size_deg),
+        )
         direction = triple(np.round(lamp.unit, 2))
         return replace(lamp, direction=direction, rgb=rgb, angular_size_deg=size_deg)
 
@@ -160,7 +165,9 @@ def light_in_steps(light: Light) -> Light:
 
 
 def _axes_in_steps(found: SeenEnvironment | CubeMap) -> tuple[float, ...] | None:
-    return None if found.axes is None else tuple(_nearest(found.axes, _AXES_STEP).tolist())
+    return (
+        None if found.axes is None else tuple(_nearest(found.axes, _AXES_STEP).tolist())
+    )
 
 
 def _nearest(values: ArrayLike, step: float) -> np.ndarray:

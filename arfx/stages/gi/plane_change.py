@@ -59,7 +59,8 @@ def change_textures(
     out = []
     for k, axes in enumerate(planes.axes.astype(float)):
         gain, dark = (
-            cv2.GaussianBlur(a, (0, 0), _EVENED_TEXELS) for a in (light.gain[k], hidden[k])
+            cv2.GaussianBlur(a, (0, 0), _EVENED_TEXELS)
+            for a in (light.gain[k], hidden[k])
         )
         turn, shift = np.eye(2), np.zeros(2)
         if k == 0:
@@ -160,7 +161,9 @@ def shown_planes(
         nearest = np.where(known, off.argmin(0), nearest)
         agree = np.stack([on_plane(real, d, SAME_DEPTH) for d in dioptres])
     shown = [(nearest == k) & (dioptres[k] > 0) for k in range(len(poses))]
-    return [np.where(s, a, 0).astype(np.float32) for s, a in zip(shown, agree, strict=True)]
+    return [
+        np.where(s, a, 0).astype(np.float32) for s, a in zip(shown, agree, strict=True)
+    ]
 
 
 def visible_radius_m(light: Indirect, planes: Planes, positions: np.ndarray) -> float:

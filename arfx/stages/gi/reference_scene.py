@@ -100,7 +100,9 @@ class RayScene:
         shiny = texels_of(mesh, "metallic_roughness_texture", part, uv)[:, 1:3] / 255
         roughness, metal = np.hsplit(shine * shiny, 2)
         f0 = 0.08 * specular * (1 - metal)
-        return Surface(position, normalise(normal), albedo, emission, metal, f0, roughness)
+        return Surface(
+            position, normalise(normal), albedo, emission, metal, f0, roughness
+        )
 
 
 class Surroundings:

@@ -79,7 +79,9 @@ class Sight:
             sent[metal] = (1 - share) * sent[metal] + share * tint * seen
         return met, sent
 
-    def _at(self, nodes: np.ndarray, places: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    def _at(
+        self, nodes: np.ndarray, places: np.ndarray, normals: np.ndarray
+    ) -> np.ndarray:
         covered = np.ones((1, len(places)), np.float32)
         row = normals[None].astype(np.float32), places[None].astype(np.float32)
         grid = self.transport.grid
@@ -93,7 +95,9 @@ def reflected_light(surface: Surface, received: np.ndarray, sight: Sight) -> np.
     little is mirrored to be seen, what is mirrored is the light that falls on the
     surface."""
     roughness = np.ascontiguousarray(surface.material[..., 1])
-    wide = widened_roughness(roughness, surface.coverage, surface.normal).astype(np.float32)
+    wide = widened_roughness(roughness, surface.coverage, surface.normal).astype(
+        np.float32
+    )
     anchor = sight.anchor_from_world
     matrix, eye = anchor.matrix.astype(np.float32), sight.eye.astype(np.float32)
     out = np.zeros((*surface.coverage.shape, 3), np.float32)
@@ -155,7 +159,10 @@ def _lobes(
                 mirrored = metal * (colour[k] * direct + grazing)
                 mirrored *= one + colour[k] * lost
                 to[10 + k] = cover * ((one - metal) * coat + mirrored)
-                brightest, strongest = max(brightest, colour[k]), max(strongest, to[10 + k])
+                brightest, strongest = (
+                    max(brightest, colour[k]),
+                    max(strongest, to[10 + k]),
+                )
             shines = strongest > shows * brightest * cover
             for k in range(3):
                 gloss = zero if shines else to[10 + k]

@@ -93,9 +93,12 @@ LEVELS = {
 
 
 class GiParams(Settings):
-    formula: str = setting("corrected", "corrected, or paper: Yao, Tao, Wu 2018 as printed")
+    formula: str = setting(
+        "corrected", "corrected, or paper: Yao, Tao, Wu 2018 as printed"
+    )
     strength: Fraction = setting(
-        1.0, "strength of the indirect light on the real planes: 0 = none, 1 = as computed"
+        1.0,
+        "strength of the indirect light on the real planes: 0 = none, 1 = as computed",
     )
     plane_gloss: Fraction = setting(
         0.0,
@@ -194,7 +197,9 @@ class Gi(Stage):
             return Transport(scene, planes, region.rays, LEVELS[level].transport), soft
 
         key = (scene.placed_by, *planes.key, level)
-        transport, soft = memo_of(scene.model).get(key, make, "transport", TRANSPORTS_KEPT)
+        transport, soft = memo_of(scene.model).get(
+            key, make, "transport", TRANSPORTS_KEPT
+        )
         positions = texel_positions(planes, LEVELS[level].picture)
         return Prepared(direction_grid(scene.camera), transport, soft, positions)
 
@@ -209,7 +214,9 @@ class Gi(Stage):
             gloss = self.params.plane_gloss, PLANE_ROUGHNESS
             options = self.params.samples, self.params.strength, gloss, mirror
             return trace_frame(view, planes_of(scene), seen, disc, *options)
-        incoming = incoming_light(view, seen, prepared.transport.planes, prepared.positions)
+        incoming = incoming_light(
+            view, seen, prepared.transport.planes, prepared.positions
+        )
         lit = self._lit(view, prepared, incoming)
         anchor = scene.world_from_anchor.inverse()
         # light without a direction, and no radiance that is mirrored is greater

@@ -143,7 +143,9 @@ def quantised(direction: np.ndarray, size_deg: float) -> Beam:
     )
 
 
-def disc_directions(beam: Beam, points: np.ndarray, over_plane: bool = True) -> np.ndarray:
+def disc_directions(
+    beam: Beam, points: np.ndarray, over_plane: bool = True
+) -> np.ndarray:
     """(n, 3) unit directions, anchor axes, to `points` (n, 2) of the light's unit disc.
 
     The first axis of the disc lies level, the second rises. over_plane : what would lie

@@ -14,9 +14,8 @@ from arfx.stages.triangles import anchor_mesh
 
 _SUNK = 1e-6  # of the extent: what lies less than this below the plane is rounding
 _WELD_DISTANCE = 1e-6  # of the extent: a seam's two vertices differ by rounding
-_COARSEST_SAG = (
-    0.02  # of the extent; facets that stand off further are not taken for a smooth surface
-)
+# of the extent; facets that stand off further are not taken for a smooth surface
+_COARSEST_SAG = 0.02
 _HULL_POINTS = 64
 _FREED = 2000  # vertices of a hull, at most, that are freed of those on its faces
 
@@ -112,7 +111,9 @@ def _edges(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     ).astype(np.int32)
 
 
-def _above_plane(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _above_plane(
+    vertices: np.ndarray, faces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Triangles over z = 0; those that pass through it are cut there."""
     from trimesh.intersections import slice_faces_plane
 
@@ -165,9 +166,9 @@ def _faceting(
     cosine = np.abs((normals[faces] * face[:, None]).sum(-1)).min(1)
     angle = np.minimum(arccos(cosine), np.radians(45))
     side = np.sqrt(
-        np.stack([((a - b) ** 2).sum(1), ((b - c) ** 2).sum(1), ((c - a) ** 2).sum(1)]).max(
-            0
-        )
+        np.stack(
+            [((a - b) ** 2).sum(1), ((b - c) ** 2).sum(1), ((c - a) ** 2).sum(1)]
+        ).max(0)
     )
     # a chord of length L that leans by the angle from the arc's tangent at its end lies L /
     # 2 tan(angle / 2) below the arc

@@ -139,7 +139,9 @@ def look_ups(texels, sides, starts, level, directions):  # pragma: no cover - co
 
 
 @line_kernel(fastmath=FAST, error_model="numpy")
-def radiance(environment: Environment, direction, roughness):  # pragma: no cover - compiled
+def radiance(
+    environment: Environment, direction, roughness
+):  # pragma: no cover - compiled
     """(r, g, b) about a direction (of any length, WORLD axes), as a surface of that
     roughness mirrors it.
     """

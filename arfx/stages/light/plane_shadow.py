@@ -132,14 +132,19 @@ def soft_picture(
     caster: Caster, low: np.ndarray, high: np.ndarray, texels: int, sky: int
 ) -> SoftPicture:
     """Of a box of the plane. low, high (2,) : metres;  sky : directions"""
-    pitch = max(float(np.sqrt(np.prod(high - low) / texels)), 1e-6 * caster.extent_m, 1e-9)
+    pitch = max(
+        float(np.sqrt(np.prod(high - low) / texels)), 1e-6 * caster.extent_m, 1e-9
+    )
     columns = int(np.ceil((high[0] - low[0]) / pitch)) + 1
     rows = int(np.ceil((high[1] - low[1]) / pitch)) + 1
     points = caster.above_vertices.astype(float)
     points[:, :2] -= (low + high) / 2
     points = points / pitch + [(columns - 1) / 2, (rows - 1) / 2, 0]
     matrix = np.column_stack(
-        [np.eye(2) / pitch, [(columns - 1) / 2, (rows - 1) / 2] - (low + high) / 2 / pitch]
+        [
+            np.eye(2) / pitch,
+            [(columns - 1) / 2, (rows - 1) / 2] - (low + high) / 2 / pitch,
+        ]
     )
     towards = hemisphere(sky)
     bundle = (towards @ hemisphere(_BUNDLES).T).argmax(1)
@@ -228,7 +233,9 @@ def beam_texture(
     ) / 2  # place of texel (0, 0)
     matrix = np.column_stack([axes / pitch, -low / pitch])
     flat = caster.above_vertices[:, :2] @ (axes / pitch).T - low / pitch
-    points = np.column_stack([flat, caster.above_vertices[:, 2] / pitch]).astype(np.float32)
+    points = np.column_stack([flat, caster.above_vertices[:, 2] / pitch]).astype(
+        np.float32
+    )
     # without a size: 8 shifted sample points, antialiased
     many = (
         disc_directions(beam, disc(level.silhouettes))
@@ -259,7 +266,9 @@ def within_surface(
     return PlaneTexture((texture.dark * share).astype(np.float32), texture.texel_from_m)
 
 
-def plane_shadow_texture(shadow: PlaneShadow, ambient_fraction: np.ndarray) -> PlaneTexture:
+def plane_shadow_texture(
+    shadow: PlaneShadow, ambient_fraction: np.ndarray
+) -> PlaneTexture:
     """Fraction of the lamps' light that a real shadow takes already: (1 - ratio) / (1 -
     ambient fraction), 0..1.
 

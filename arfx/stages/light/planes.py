@@ -127,7 +127,9 @@ def planes_of(scene: Scene) -> Planes:
     )
 
 
-def _bounds(measured: RealPlane | None, axes: np.ndarray, origin: np.ndarray) -> np.ndarray:
+def _bounds(
+    measured: RealPlane | None, axes: np.ndarray, origin: np.ndarray
+) -> np.ndarray:
     """(4,) x0, y0, x1, y1 from axes[0] along axes[1], axes[2] where the plane was seen to end.
 
     origin (3,) : of its extent

@@ -184,8 +184,12 @@ def _caster_height(
     """
     rows, columns = -(-shape[0] // COARSE), -(-shape[1] // COARSE)
     h = np.ascontiguousarray(points[:, 2])
-    u = ((points[:, 0] + np.float32(slope[0]) * h + 0.5) / COARSE - 0.5).astype(np.float32)
-    v = ((points[:, 1] + np.float32(slope[1]) * h + 0.5) / COARSE - 0.5).astype(np.float32)
+    u = ((points[:, 0] + np.float32(slope[0]) * h + 0.5) / COARSE - 0.5).astype(
+        np.float32
+    )
+    v = ((points[:, 1] + np.float32(slope[1]) * h + 0.5) / COARSE - 0.5).astype(
+        np.float32
+    )
     height = height_map(u, v, h, faces, rows, columns, np.float32(-1))
     empty = height < 0
     if empty.all():

@@ -94,7 +94,9 @@ def visible_fraction(
     hidden = kept.grid.read(nodes, *layers, anchor_from_world)[..., 0]
     rise = DIFFUSE_RISE * anchor_from_world.rotation.T @ np.array(shape)
     light = 1 + (layers[1].reshape(-1, 3) @ rise.astype(np.float32)).reshape(hidden.shape)
-    return np.asarray(np.clip(1 - hidden / np.maximum(light, LEAST_SEEN), 0, 1), np.float32)
+    return np.asarray(
+        np.clip(1 - hidden / np.maximum(light, LEAST_SEEN), 0, 1), np.float32
+    )
 
 
 def visible_fraction_by_rays(

@@ -49,7 +49,9 @@ def split_sum() -> np.ndarray:
         nl > 0, light * (nv + view) / shadowed, 0.0
     )  # G2 over G1 of the view
     grazing = (1 - vh) ** 5
-    out = np.stack([((1 - grazing) * unmasked).mean(-1), (grazing * unmasked).mean(-1)], -1)
+    out = np.stack(
+        [((1 - grazing) * unmasked).mean(-1), (grazing * unmasked).mean(-1)], -1
+    )
     return np.ascontiguousarray(out, np.float32)
 
 

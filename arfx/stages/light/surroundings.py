@@ -115,7 +115,9 @@ def frame_environment(facts: FrameFacts, scene: Scene, light: Light) -> Environm
     return frame_surroundings(facts, scene, light).environment()
 
 
-def frame_surroundings(facts: FrameFacts, scene: Scene, light: Light) -> FrameSurroundings:
+def frame_surroundings(
+    facts: FrameFacts, scene: Scene, light: Light
+) -> FrameSurroundings:
     """The best that is known around the frame's object. What is filtered is kept with the
     scene, for all stages.
 
@@ -126,7 +128,9 @@ def frame_surroundings(facts: FrameFacts, scene: Scene, light: Light) -> FrameSu
     up = scene.world_from_anchor.rotation[:, 2]
     axes = _axes(seen if seen is not None else guess)
     cube_up = (
-        up if np.array_equal(axes, np.eye(3)) else np.round(axes @ up / _UP_STEP) * _UP_STEP
+        up
+        if np.array_equal(axes, np.eye(3))
+        else np.round(axes @ up / _UP_STEP) * _UP_STEP
     )
 
     def parts(name: str | None) -> SurroundingParts:
@@ -142,7 +146,9 @@ def frame_surroundings(facts: FrameFacts, scene: Scene, light: Light) -> FrameSu
         )
         key = name, own, cube_up.tobytes()
         memo = memo_of(scene)
-        found: SurroundingParts = memo.get(key, partial(parts, name), "surroundings", _KEPT)
+        found: SurroundingParts = memo.get(
+            key, partial(parts, name), "surroundings", _KEPT
+        )
         return found
 
     if seen is None:

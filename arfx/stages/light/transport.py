@@ -156,7 +156,9 @@ class Transport:
             starts + hits.distance[nearer][:, None] * directions, facing * normals
         )
 
-    def _beyond(self, hits: Hits, own: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    def _beyond(
+        self, hits: Hits, own: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """(column (n, k), distance (n, k)) of the plane or sky that rays meet without the object.
 
         own (n,) : the plane on which a place lies, which its rays do not meet"""

@@ -167,7 +167,9 @@ def add_clear_coat(
                     v_l = dot(view, lights.towards[k])
                     n_h, away = half_vector(facing, n_l, v_l)
                     fresnel = _F0 + (one - _F0) * away * away * away * away * away
-                    lobe = ggx_reflection(alpha2, alpha2 + lights.widths[k], n_h, n_v, n_l)
+                    lobe = ggx_reflection(
+                        alpha2, alpha2 + lights.widths[k], n_h, n_v, n_l
+                    )
                     lobe *= amount * fresnel * lights.visibility[k, y, x]
                     for c in range(3):
                         light[c] += lights.rgb[k, c] * lobe

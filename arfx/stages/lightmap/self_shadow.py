@@ -35,7 +35,10 @@ _LIFT_FAR = 4e-4
 # texels, radius in which the map is sampled: under it the texels' steps show
 _NARROWEST, _WIDEST = 1.7, 40.0
 MAP_TEXELS = 384  # a side of the depth map
-BLOCKER_TAPS, LIGHT_TAPS = 16, 64  # questions to it: for blockers, and where they disagree
+BLOCKER_TAPS, LIGHT_TAPS = (
+    16,
+    64,
+)  # questions to it: for blockers, and where they disagree
 RAYS = 400  # over the light's disc
 FIRST_EVERY = 8  # every so manieth ray is sent first, the rest where those disagree
 

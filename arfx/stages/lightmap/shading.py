@@ -111,7 +111,9 @@ def mirrored_share(visible, n_v, roughness):  # pragma: no cover - compiled
 
 
 @line_kernel(fastmath=FAST)
-def reflected_shares(table, metal, roughness, specular, n_v):  # pragma: no cover - compiled
+def reflected_shares(
+    table, metal, roughness, specular, n_v
+):  # pragma: no cover - compiled
     """(matt, coat, direct, grazing, lost): shares of even light, of the matt part, of what
     a dielectric mirrors, the split sum's two, and how much single reflections lose of white
     over what they mirror."""
@@ -181,7 +183,11 @@ def _shade(
             normal, view = towards_eye(surface, eye, y, x)
             facing = dot(normal, view)
             n_v = max(facing, np.float32(1e-3))
-            metal, rough, specular = material[y, x, 0], material[y, x, 1], material[y, x, 2]
+            metal, rough, specular = (
+                material[y, x, 0],
+                material[y, x, 1],
+                material[y, x, 2],
+            )
             rough = max(rough, np.float32(SMOOTHEST))
             base = np.float32(0.08) * specular * (one - metal)
             # at grazing angles all is mirrored, unless the material is set not to be glossy

@@ -194,7 +194,9 @@ class Lightmap(Stage):
             return out
         if self._soft_occluded and soft is None:
             plane = region.rays, region.soft
-            out[0] = visible_fraction_by_rays(seen, *plane, anchor_from_world, light.shape)
+            out[0] = visible_fraction_by_rays(
+                seen, *plane, anchor_from_world, light.shape
+            )
         elif soft is not None:
             key = "object", light.shape
             nodes = memo.get(key, partial(soft.under, light.shape), "soft")
@@ -271,7 +273,11 @@ class Lightmap(Stage):
             kept: tuple[PlaneTexture, ...] = memo.get(("plane", key), within, kind)
             return kept
 
-        shape, caster, level = light.shape, prepared.region.caster, PLANE_LEVELS[view.level]
+        shape, caster, level = (
+            light.shape,
+            prepared.region.caster,
+            PLANE_LEVELS[view.level],
+        )
         soft = textures(shape, lambda: (p.under(shape) for p in prepared.soft), "soft")
         ambient = np.float32(self.soft) * light.ambient_fraction
         lamps: list[PlaneTexture] = []
@@ -331,7 +337,9 @@ class Lightmap(Stage):
         if scene.surface_m is not None:
             x0, y0, x1, y1 = scene.surface_m
             rect = rect.clip(
-                plane_rect(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]), facts, scene)
+                plane_rect(
+                    np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]), facts, scene
+                )
             )
         return (
             rect,

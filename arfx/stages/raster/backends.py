@@ -112,5 +112,7 @@ def backend_report() -> list[BackendState]:
     return [
         gl,
         rays,
-        BackendState("auto", state.opens, f"takes {chosen.name}: {chosen.why}", state.fix),
+        BackendState(
+            "auto", state.opens, f"takes {chosen.name}: {chosen.why}", state.fix
+        ),
     ]

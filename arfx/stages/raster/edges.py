@@ -73,7 +73,9 @@ def _points_along(
     high = np.array(
         [np.nanmax(view.x, initial=-np.inf), np.nanmax(view.y, initial=-np.inf)]
     )
-    near = (xy.max(1) >= low).all(1) & (xy.min(1) <= high).all(1) & (z > EPS_DEPTH_M).all(1)
+    near = (
+        (xy.max(1) >= low).all(1) & (xy.min(1) <= high).all(1) & (z > EPS_DEPTH_M).all(1)
+    )
     xy, z = xy[near], z[near]
     length = (np.abs(xy[:, 1] - xy[:, 0]) * [camera.fx, camera.fy]).max(1, initial=0)
     longest = 4.0 * sum(view.x.shape)
@@ -111,7 +113,8 @@ def _add_jumps(mask, part, face_normal, view: View, face, depth):  # pragma: no 
                     differ = not (marked and nothing)
                 else:
                     gap = (
-                        abs(depth[v, u] - depth[y, x]) / depth[y, x] - _JUMP_PX * view.pixel
+                        abs(depth[v, u] - depth[y, x]) / depth[y, x]
+                        - _JUMP_PX * view.pixel
                     )
                     differ = not marked and gap > 0
                     if differ:

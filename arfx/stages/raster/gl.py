@@ -61,7 +61,9 @@ class GlFaces:
 
     Raises RenderError where no OpenGL context opens."""
 
-    any_rectangle = False  # the driver's fixed-point edges depend on the viewport's corner
+    any_rectangle = (
+        False  # the driver's fixed-point edges depend on the viewport's corner
+    )
 
     def __init__(
         self, mesh: SceneMesh, camera: Camera, curvature: float, samples: int
@@ -115,7 +117,9 @@ class GlFaces:
         scale = np.array([c.fx, c.fy]) * self._side
         size = (high - low) * scale + 2
         # A wide lens would need an endless ideal picture: it is made coarser instead.
-        scale = scale * min(1.0, *(MAX_SIDE_PX / size), np.sqrt(MAX_AREA_PX / size.prod()))
+        scale = scale * min(
+            1.0, *(MAX_SIDE_PX / size), np.sqrt(MAX_AREA_PX / size.prod())
+        )
         width, height = np.minimum(
             np.ceil((high - low) * scale).astype(int) + 2, MAX_SIDE_PX
         )

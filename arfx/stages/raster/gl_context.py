@@ -127,7 +127,9 @@ def _missing_library(name: str) -> str:
 
 
 def _open(name: str) -> GlContext:
-    os.environ["PYOPENGL_PLATFORM"] = name  # PyOpenGL looks at it once, when it is imported
+    os.environ["PYOPENGL_PLATFORM"] = (
+        name  # PyOpenGL looks at it once, when it is imported
+    )
     if (
         "pyrender.viewer" not in sys.modules
     ):  # the real one imports pyglet, which wants a display

@@ -111,7 +111,9 @@ class _Buffer:
             targets = GL.GL_COLOR_ATTACHMENT0, GL.GL_DEPTH_ATTACHMENT
             for store, kind, target in zip(self.stores, formats, targets, strict=True):
                 GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, store)
-                GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, kind, self.width, self.height)
+                GL.glRenderbufferStorage(
+                    GL.GL_RENDERBUFFER, kind, self.width, self.height
+                )
                 GL.glFramebufferRenderbuffer(
                     GL.GL_FRAMEBUFFER, target, GL.GL_RENDERBUFFER, store
                 )

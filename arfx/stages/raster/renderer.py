@@ -128,7 +128,9 @@ class Renderer:
         centres = [a[1:-1, 1:-1].ravel() for a in (wide_face, wide_depth, wide_x, wide_y)]
         face, _, x, y = centres
         if self.layered:  # how much of a cut-out a pixel shows, its centre does not tell
-            edge |= (self.tables.ints[self.mesh.part[face], MODE] == CUT_OUT) & (face >= 0)
+            edge |= (self.tables.ints[self.mesh.part[face], MODE] == CUT_OUT) & (
+                face >= 0
+            )
         plain = np.flatnonzero((face >= 0) & ~edge)
         count, whole = len(plain), np.ones(len(plain), np.float32)
         rays = rays_through(np.arange(count), face[plain], x[plain], y[plain], whole)
@@ -187,7 +189,9 @@ class Renderer:
         out: dict[Layer, np.ndarray],
     ) -> None:
         """Write pixels (n,) from their sums; as `resolve`."""
-        resolve(pixels, part, depth, sums, view, GBuffer(*(out[name] for name in OUTPUTS)))
+        resolve(
+            pixels, part, depth, sums, view, GBuffer(*(out[name] for name in OUTPUTS))
+        )
         if self.extras:
             shown = sums[:, COVERED] > 0
             means = sums[shown] / sums[shown, COVERED, None]
@@ -211,7 +215,9 @@ class Renderer:
 
     def _follow(self, rays: Rays, count: int, view: View) -> np.ndarray:
         """(count, columns) sums of what the rays meet, layer by layer, for each pixel."""
-        sums = np.zeros((count, ALL_COLUMNS if self.extras else PLAIN_COLUMNS), np.float32)
+        sums = np.zeros(
+            (count, ALL_COLUMNS if self.extras else PLAIN_COLUMNS), np.float32
+        )
         values = np.empty(sums.shape[1], np.float32)
         add_surfaces(rays, view, self.tables, values, sums)
         if self.triangles is None:
@@ -221,7 +227,9 @@ class Renderer:
             going = np.flatnonzero((rays.face >= 0) & (rays.clear > CLEAR))
             if not len(going):
                 break
-            in_camera = np.column_stack([rays.x[going], rays.y[going], np.ones(len(going))])
+            in_camera = np.column_stack(
+                [rays.x[going], rays.y[going], np.ones(len(going))]
+            )
             directions = (in_camera @ view.rotation).astype(np.float32)
             start = rays.reached[going, None] * (1 + _ONWARD)
             behind = np.full(len(rays.face), -1, np.int32)

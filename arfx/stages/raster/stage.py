@@ -60,7 +60,9 @@ class Raster(Stage):
         rect = facts.raster_box.clip(frame)
         return Demand(
             rect,
-            f"model covers up to {rect.area} px" if not rect.empty else "model out of view",
+            f"model covers up to {rect.area} px"
+            if not rect.empty
+            else "model out of view",
         )
 
     def prepare(self, scene: Scene, level: str) -> Renderer:

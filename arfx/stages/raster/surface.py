@@ -307,7 +307,13 @@ def merged_by_face(face, x, y):  # pragma: no cover - compiled
             out_x[m] /= out_share[m]
             out_y[m] /= out_share[m]
             out_share[m] /= samples
-    return pixel[:count], out_face[:count], out_x[:count], out_y[:count], out_share[:count]
+    return (
+        pixel[:count],
+        out_face[:count],
+        out_x[:count],
+        out_y[:count],
+        out_share[:count],
+    )
 
 
 @line_kernel(error_model="numpy", fastmath=FAST)

@@ -28,8 +28,18 @@ def _wrapped(t, mode):  # pragma: no cover - compiled
 @numba.njit(inline="always")
 def _between(texels, p, q, share):  # pragma: no cover - compiled
     """Four channels between texels p and q."""
-    p0, p1, p2, p3 = _F(texels[p, 0]), _F(texels[p, 1]), _F(texels[p, 2]), _F(texels[p, 3])
-    q0, q1, q2, q3 = _F(texels[q, 0]), _F(texels[q, 1]), _F(texels[q, 2]), _F(texels[q, 3])
+    p0, p1, p2, p3 = (
+        _F(texels[p, 0]),
+        _F(texels[p, 1]),
+        _F(texels[p, 2]),
+        _F(texels[p, 3]),
+    )
+    q0, q1, q2, q3 = (
+        _F(texels[q, 0]),
+        _F(texels[q, 1]),
+        _F(texels[q, 2]),
+        _F(texels[q, 3]),
+    )
     return (
         p0 + share * (q0 - p0),
         p1 + share * (q1 - p1),

@@ -61,7 +61,9 @@ def level_sizes(picture: np.ndarray) -> list[tuple[int, int]]:
     return sizes
 
 
-def write_pyramid(picture: np.ndarray, srgb: bool, texels: np.ndarray) -> list[np.ndarray]:
+def write_pyramid(
+    picture: np.ndarray, srgb: bool, texels: np.ndarray
+) -> list[np.ndarray]:
     """Levels (h, w, 4) uint16 in linear light, which lie in `texels` (n, 4), one after the other;
     missing channels are full."""
     height, width, channels = picture.shape

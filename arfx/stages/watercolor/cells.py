@@ -89,7 +89,9 @@ def neighbours(
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _find_neighbours(sites, grid, first, last, near, weight):  # pragma: no cover - compiled
+def _find_neighbours(
+    sites, grid, first, last, near, weight
+):  # pragma: no cover - compiled
     """Of the sites first ... last - 1 of the buckets' order.
 
     sites (3, n) : x, y from the first bucket's corner, 1 / reach^2, in the buckets' order

@@ -61,7 +61,9 @@ class Candidates(NamedTuple):
 
 
 @line_kernel()
-def collect(buckets: Buckets, x, y, reach, out: LocalSites):  # pragma: no cover - compiled
+def collect(
+    buckets: Buckets, x, y, reach, out: LocalSites
+):  # pragma: no cover - compiled
     """Number of sites in the buckets within `reach` of (x, y), up to a multiple of STEP.
 
     out : these, by number, then some that are far: loops end with whole steps.
@@ -121,7 +123,9 @@ def bound(sites: LocalSites, count, box, best):  # pragma: no cover - compiled
 
 
 @line_kernel()
-def prune(sites: LocalSites, count, box, limit, away, found):  # pragma: no cover - compiled
+def prune(
+    sites: LocalSites, count, box, limit, away, found
+):  # pragma: no cover - compiled
     """Number of sites that come to the box as near as `limit`, squared; found : which."""
     middle_x, middle_y, half_x, half_y = box
     most = limit * _MORE + _F(1)

@@ -63,7 +63,9 @@ class Labels:
             if array.size:
                 height, width = where.shape
                 part = array[row : row + height, column : column + width]
-                np.add(getattr(other, name), start, out=part, where=where, casting="unsafe")
+                np.add(
+                    getattr(other, name), start, out=part, where=where, casting="unsafe"
+                )
             arrays.append(array)
         return Labels(arrays[0], arrays[1], arrays[2], self.count + other.count)
 
@@ -206,7 +208,9 @@ def _label_rows(
     n2 = np.empty(PIXELS, np.int32)
     inset = np.empty(PIXELS, np.uint8)
     spacing = (
-        buckets.side * STEPS * np.sqrt(buckets.rows * buckets.columns / buckets.order.size)
+        buckets.side
+        * STEPS
+        * np.sqrt(buckets.rows * buckets.columns / buckets.order.size)
     )
     # how far around a tile it looks at first: mostly enough
     usual = np.float32(1.5 * spacing + 2 * blend)

@@ -62,7 +62,9 @@ def measure_edges(
     odd_rows = image.shape[0] % 2
     odd_columns = image.shape[1] % 2
     if odd_rows or odd_columns:
-        image = cv2.copyMakeBorder(image, 0, odd_rows, 0, odd_columns, cv2.BORDER_REPLICATE)
+        image = cv2.copyMakeBorder(
+            image, 0, odd_rows, 0, odd_columns, cv2.BORDER_REPLICATE
+        )
     height = image.shape[0] // 2
     width = image.shape[1] // 2
     # at half the size the mean of 2 x 2, as INTER_AREA's, in half its time
@@ -77,14 +79,25 @@ def measure_edges(
     edges = Edges(*np.empty((3, height, width), np.float32))
     channels = np.concatenate([np.eye(3), yuv_matrix()]).astype(np.float32)
     of_rgb = (1 - beta) / 3
-    shares = of_rgb, of_rgb, of_rgb, beta * (1 - alpha), beta * alpha / 2, beta * alpha / 2
+    shares = (
+        of_rgb,
+        of_rgb,
+        of_rgb,
+        beta * (1 - alpha),
+        beta * alpha / 2,
+        beta * alpha / 2,
+    )
     share = np.array(shares, np.float32)
-    parallel_rows(lambda a, b: _measure_rows(planes, channels, share, a, b, edges), height)
+    parallel_rows(
+        lambda a, b: _measure_rows(planes, channels, share, a, b, edges), height
+    )
     return edges
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _measure_rows(planes, channels, share, first, last, out):  # pragma: no cover - compiled
+def _measure_rows(
+    planes, channels, share, first, last, out
+):  # pragma: no cover - compiled
     """Rows first ... last - 1, from central differences. planes (3, h + 2, w + 2) : R', G', B'
 
     channels (6, 3) : of R'G'B', these first;  share (6,) : of each in the measure"""
@@ -188,7 +201,9 @@ def trace_lines(edges: Edges, low: float, high: float, width_px: float) -> np.nd
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _trace_rows(edges, offset, low, high, first, last, out):  # pragma: no cover - compiled
+def _trace_rows(
+    edges, offset, low, high, first, last, out
+):  # pragma: no cover - compiled
     """Strength before hysteresis: where the measure is larger than `offset` px to both sides."""
     zero = _F(0)
     one = _F(1)

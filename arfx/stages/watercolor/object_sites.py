@@ -55,7 +55,9 @@ def sample_surface(scene: Scene, seed: int) -> SurfacePoints:
     s, t = rng.random((2, POINTS, 1))
     s, t = np.where(s + t > 1, (1 - s, 1 - t), (s, t))
     points = first[at] + s * (second - first)[at] + t * (third - first)[at]
-    return SurfacePoints(points, normalise(across[at]), _importance(points, extent), extent)
+    return SurfacePoints(
+        points, normalise(across[at]), _importance(points, extent), extent
+    )
 
 
 def _importance(points: np.ndarray, extent: float) -> np.ndarray:
@@ -100,7 +102,8 @@ def object_sites(
     camera = scene.camera
     eye = camera_from_world.inverse().translation_m
     depth = (
-        surface.points @ camera_from_world.rotation[2] + camera_from_world.translation_m[2]
+        surface.points @ camera_from_world.rotation[2]
+        + camera_from_world.translation_m[2]
     )
     facing = np.einsum("ij,ij->i", eye - surface.points, surface.normals)
     keep = np.flatnonzero((depth > EPS_DEPTH_M) & (facing > 0))

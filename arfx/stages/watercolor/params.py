@@ -74,7 +74,9 @@ class WatercolorParams(ToonSettings):
     )
     flow: Fraction = setting(0.22, "strength of slow turbulence")
     wobble_px: float = setting(1.5, "how far borders waver", ge=0, le=8)
-    grain: Fraction = setting(0.3, "strength of the paper's grain, in washes and in lines")
+    grain: Fraction = setting(
+        0.3, "strength of the paper's grain, in washes and in lines"
+    )
 
     @model_validator(mode="after")
     def _lines(self) -> WatercolorParams:

@@ -45,11 +45,22 @@ from arfx.stages.watercolor.lines import (
     object_edges,
     trace_lines,
 )
-from arfx.stages.watercolor.object_sites import SurfacePoints, object_sites, sample_surface
+from arfx.stages.watercolor.object_sites import (
+    SurfacePoints,
+    object_sites,
+    sample_surface,
+)
 from arfx.stages.watercolor.paint import How, painted
 from arfx.stages.watercolor.params import WatercolorParams
 from arfx.stages.watercolor.pigment import paper_grain, turbulence
-from arfx.stages.watercolor.sites import GRID_PX, STEPS, Place, SiteField, Sites, make_sites
+from arfx.stages.watercolor.sites import (
+    GRID_PX,
+    STEPS,
+    Place,
+    SiteField,
+    Sites,
+    make_sites,
+)
 from arfx.stages.watercolor.toon import EVEN, replace_lit, tones, toon_light
 from arfx.stages.watercolor.wobble import Wobbles
 
@@ -116,7 +127,9 @@ class Watercolor(Stage):
 
     def prepare(self, scene: Scene, level: str) -> Prepared:
         wobbles = Wobbles(scene.seed, self.params.wobble_px)
-        return Prepared(paper_grain(scene.seed), wobbles, sample_surface(scene, scene.seed))
+        return Prepared(
+            paper_grain(scene.seed), wobbles, sample_surface(scene, scene.seed)
+        )
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
         rect = view.rect
@@ -143,7 +156,9 @@ class Watercolor(Stage):
             view.light, view.scene.world_from_anchor.rotation[:, 2]
         )
         even = EVEN * np.clip(view.light.ambient_rgb, 0, radiance)
-        cosine = cv2.transform(packed(part[Layer.NORMAL]), towards[None].astype(np.float32))
+        cosine = cv2.transform(
+            packed(part[Layer.NORMAL]), towards[None].astype(np.float32)
+        )
         tone = tones(cosine, p.toon_thresholds, p.toon_factors)
         light = np.column_stack([np.diag(radiance - even), even])
         lit = cv2.transform(cv2.merge([tone] * 3), light.astype(np.float32))

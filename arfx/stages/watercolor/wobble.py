@@ -56,7 +56,9 @@ class Wobbles:
         rows, columns = where.u.shape
         x = where.x0 + GRID_PX * np.arange(columns)
         y = where.y0 + GRID_PX * np.arange(rows)[:, None]
-        return self.at(float(np.median(where.u - x)), float(np.median(where.v - y)), place)
+        return self.at(
+            float(np.median(where.u - x)), float(np.median(where.v - y)), place
+        )
 
     def of_object(
         self,

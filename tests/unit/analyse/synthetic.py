@@ -118,7 +118,8 @@ def hung(
     )
     out = back.copy()
     out[y0:y1, x0:x1] = (
-        out[y0:y1, x0:x1] * (1 - (cover if back.ndim == 2 else cover[..., None])) + covered
+        out[y0:y1, x0:x1] * (1 - (cover if back.ndim == 2 else cover[..., None]))
+        + covered
     )
     return out
 

@@ -92,7 +92,15 @@ def test_refused_where_the_footage_does_not_tell(
 
 @pytest.mark.parametrize(
     ("radius", "tilt_deg"),
-    [(0.0, 0.0), (1.5, 0.0), (3.0, 0.0), (4.5, 0.0), (0.0, 60.0), (2.0, 60.0), (2.0, 40.0)],
+    [
+        (0.0, 0.0),
+        (1.5, 0.0),
+        (3.0, 0.0),
+        (4.5, 0.0),
+        (0.0, 60.0),
+        (2.0, 60.0),
+        (2.0, 40.0),
+    ],
 )
 def test_blur_of_a_disc_is_half_its_radius(radius: float, tilt_deg: float) -> None:
     """On a tilted print too, where a cell is less deep across the near and the far side
@@ -108,7 +116,9 @@ def test_blur_of_a_disc_is_half_its_radius(radius: float, tilt_deg: float) -> No
     corners = CAMERA.project(pose.apply(MARKER.corners_m))
     table = (255 * SRGB.decode(np.arange(256) / 255)).astype(np.float32)
     blur = side_blurs(blurred(pose, radius, 0), corners, 8, table)
-    np.testing.assert_allclose(blur, np.sqrt(radius**2 / 4 + 0.55**2), rtol=0.08, atol=0.03)
+    np.testing.assert_allclose(
+        blur, np.sqrt(radius**2 / 4 + 0.55**2), rtol=0.08, atol=0.03
+    )
 
 
 def test_what_grows_faster_than_a_lens_is_refused() -> None:

@@ -60,7 +60,9 @@ def test_frames_are_counted_on() -> None:
 
 
 def test_equal_rows_give_equal_bytes() -> None:
-    assert to_bytes({"a": by_columns(ROWS, Row)}) == to_bytes({"a": by_columns(ROWS, Row)})
+    assert to_bytes({"a": by_columns(ROWS, Row)}) == to_bytes(
+        {"a": by_columns(ROWS, Row)}
+    )
 
 
 def test_every_damage_is_seen() -> None:

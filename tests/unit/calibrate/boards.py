@@ -86,7 +86,9 @@ def board_picture(spec: BoardSpec, px_per_square: int = 60) -> np.ndarray:
         flat = charuco_board(spec).generateImage((columns * p, rows * p))
     else:
         i, j = np.mgrid[0:rows, 0:columns]
-        flat = np.where(np.kron((i + j) % 2, np.ones((p, p))) > 0, 255, 0).astype(np.uint8)
+        flat = np.where(np.kron((i + j) % 2, np.ones((p, p))) > 0, 255, 0).astype(
+            np.uint8
+        )
     return np.pad(flat, p, constant_values=255)
 
 

@@ -54,7 +54,9 @@ def spread_views() -> list[View]:
         rvec = 0.5 * np.array([np.cos(i), np.sin(i), 0])
         r = cv2.Rodrigues(rvec)[0]
         middle = np.array([x * 0.27, y * 0.2, 1]) * 0.45
-        out.append(view((rvec, middle - r @ CHESS.corners_m.mean(0)), rng, 0.1, f"edge{i}"))
+        out.append(
+            view((rvec, middle - r @ CHESS.corners_m.mean(0)), rng, 0.1, f"edge{i}")
+        )
     return [
         v for v in out if (v.pixels > 0).all() and (v.pixels < np.array(SIZE) - 1).all()
     ]
@@ -69,7 +71,9 @@ def test_a_good_set(good: Calibration) -> None:
     assert good.verdict.word == GOOD, good.verdict.reasons
     assert not good.verdict.reasons
     values, sd = good.fitted.values, good.known.standard_deviations
-    assert (np.abs(values[:4] - [TRUE.fx, TRUE.fy, TRUE.cx, TRUE.cy]) < 3.5 * sd[:4]).all()
+    assert (
+        np.abs(values[:4] - [TRUE.fx, TRUE.fy, TRUE.cx, TRUE.cy]) < 3.5 * sd[:4]
+    ).all()
     assert sd[0] < 0.003 * TRUE.fx
 
 
@@ -282,7 +286,8 @@ def test_what_cannot_be_read_or_is_of_another_kind_is_left_out_and_all_of_it_is_
     turned = Picture("turned", render(CHESS, poses(9)[5]), turn=3)
     small = Picture("small", np.zeros((200, 300), np.uint8))
     bad = [
-        Picture(n, InputError(f"{n} is damaged", "save it again")) for n in ("bad", "worse")
+        Picture(n, InputError(f"{n} is damaged", "save it again"))
+        for n in ("bad", "worse")
     ]
     got = find_board([bad[0], *good, small, turned, bad[1]], CHESS)
     assert [v.name for v in got.views] == [g.name for g in good]

@@ -28,7 +28,9 @@ from arfx.errors import ConfigError
 SVG = "{http://www.w3.org/2000/svg}"
 
 
-def png(tmp_path: Path, specs: list[str], page: str = "a4", dpi: float = 254) -> np.ndarray:
+def png(
+    tmp_path: Path, specs: list[str], page: str = "a4", dpi: float = 254
+) -> np.ndarray:
     path = tmp_path / "t.png"
     write_sheet(lay_out(parse_targets(specs), page), path, dpi)
     with Image.open(path) as image:
@@ -95,7 +97,9 @@ def test_a_board_is_found_with_the_spec_it_was_printed_from(
         assert find_view(picture, replace(spec, legacy=not spec.legacy), "") is None
 
 
-def filled(points: list[np.ndarray], size: tuple[float, float], scale: float) -> np.ndarray:
+def filled(
+    points: list[np.ndarray], size: tuple[float, float], scale: float
+) -> np.ndarray:
     """Even-odd fill of outlines, each pixel by its middle."""
     out = np.zeros((round(size[1] * scale), round(size[0] * scale)), np.uint8)
     for p in points:

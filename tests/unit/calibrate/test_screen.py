@@ -16,7 +16,16 @@ from arfx.calibrate.screen import (
     sharpest_of_each,
 )
 from arfx.core.camera import Camera
-from tests.unit.calibrate.boards import CHESS, SIZE, TRUE, names, poses, render, view, views
+from tests.unit.calibrate.boards import (
+    CHESS,
+    SIZE,
+    TRUE,
+    names,
+    poses,
+    render,
+    view,
+    views,
+)
 
 
 def test_copies_count_once_and_the_sharpest_stays() -> None:
@@ -46,7 +55,8 @@ def test_views_of_another_camera_are_rejected_not_averaged(bad_share: int) -> No
     other = Camera(*SIZE, np.array([[760.0, 0, 300], [0, 760, 250], [0, 0, 1]]))
     rng = np.random.default_rng(0)
     bad = [
-        view(p, rng, 0.1, f"bad{i}", other) for i, p in enumerate(poses(bad_share, seed=5))
+        view(p, rng, 0.1, f"bad{i}", other)
+        for i, p in enumerate(poses(bad_share, seed=5))
     ]
     mixed = views(10)
     mixed[2:2] = bad

@@ -29,7 +29,9 @@ BROWN4 = MODELS[3]
 def test_exact_corners_give_the_camera_back() -> None:
     fitted = fit(views(8, noise_px=0.0), BROWN4)
     np.testing.assert_allclose(fitted.camera.matrix, TRUE.matrix, atol=2e-2)
-    np.testing.assert_allclose(fitted.camera.distortion[:4], TRUE.distortion[:4], atol=2e-4)
+    np.testing.assert_allclose(
+        fitted.camera.distortion[:4], TRUE.distortion[:4], atol=2e-4
+    )
     assert fitted.rms_px < 1e-3
 
 
@@ -41,7 +43,9 @@ def test_what_no_motion_of_the_board_imitates() -> None:
     own = information(fitted)[1]
     by_pose = j[:, :6]
     assert own.shape == (2 * len(v.ids), len(BROWN4.parameters))
-    assert np.abs(by_pose.T @ own).max() < 1e-6 * np.abs(by_pose).max() * np.abs(own).max()
+    assert (
+        np.abs(by_pose.T @ own).max() < 1e-6 * np.abs(by_pose).max() * np.abs(own).max()
+    )
     left = own - BROWN4.by_parameters(j)
     along = by_pose @ np.linalg.lstsq(by_pose, left, rcond=None)[0]
     np.testing.assert_allclose(along, left, atol=1e-6 * np.abs(left).max())
@@ -107,7 +111,9 @@ def test_a_frontal_set_says_that_it_knows_nothing() -> None:
 
 
 @pytest.mark.parametrize("tilt", [1e-1, 1e-2, 1e-3, 0.0])
-def test_near_the_singularity_it_says_that_it_knows_nothing_or_refuses(tilt: float) -> None:
+def test_near_the_singularity_it_says_that_it_knows_nothing_or_refuses(
+    tilt: float,
+) -> None:
     answers = []
     for noise_px in (0.0, 0.05, 0.1):
         with contextlib.suppress(NothingToDoError):

@@ -20,7 +20,9 @@ def given(**options: Any) -> dict[str, Any]:
 def test_no_two_settings_have_the_same_option() -> None:
     flags = [flag for s in settings() for flag in s.flags]
     assert len(set(flags)) == len(flags) and len(NOTHING) >= 25
-    assert not overrides(section_overrides({**NOTHING, "marker": (), "no_skip": False}), ())
+    assert not overrides(
+        section_overrides({**NOTHING, "marker": (), "no_skip": False}), ()
+    )
 
 
 def test_an_empty_text_is_given_but_for_a_list_of_effects() -> None:

@@ -46,7 +46,9 @@ class OldGrain:
 
     def __post_init__(self) -> None:
         if self.strength > 1:
-            raise ConfigError(f"grain.strength must be at most 1, is {self.strength}", "1")
+            raise ConfigError(
+                f"grain.strength must be at most 1, is {self.strength}", "1"
+            )
 
 
 TABLE = {"dof": {"corrected": Lens, "paper": PrintedLens}}
@@ -98,7 +100,9 @@ def test_every_path_is_relative_to_the_file_that_names_it(tmp_path: Path) -> Non
             tree.setdefault(s.section, {})[s.key] = "a"
     assert len(tree["input"]) >= 5 and {"path"} == tree["output"].keys()
     kept = frozen(
-        load(write(tmp_path, to_toml(tree)), {}, {"sky": {"corrected": Sky, "other": Sky}})
+        load(
+            write(tmp_path, to_toml(tree)), {}, {"sky": {"corrected": Sky, "other": Sky}}
+        )
     )
     assert {kept[section][key] for section, table in tree.items() for key in table} == {
         str(tmp_path / "a")
@@ -212,7 +216,9 @@ def test_of_several_files_errors_name_the_one_that_is_wrong(
     assert f"{where}\n" in f"{e.value}\n" and str(e.value).count(" --> ") == 1, e.value
 
 
-def test_all_errors_are_told_at_once_and_the_command_line_is_named(tmp_path: Path) -> None:
+def test_all_errors_are_told_at_once_and_the_command_line_is_named(
+    tmp_path: Path,
+) -> None:
     text = GOOD.replace("aperture", "apperture").replace("end =", "ende =")
     with pytest.raises(ConfigError) as e:
         load(write(tmp_path, text), {"pipeline": {"quality": "best"}}, TABLE)
@@ -231,7 +237,9 @@ def test_the_formula_chooses_the_settings(tmp_path: Path) -> None:
         blades=5, near_m=1.0
     )
     assert frozen(load(None, {"dof": frozen(job)["dof"]}, TABLE)) == frozen(job)
-    assert type(load(None, {"dof": {"formula": "corrected"}}, TABLE).params["dof"]) is Lens
+    assert (
+        type(load(None, {"dof": {"formula": "corrected"}}, TABLE).params["dof"]) is Lens
+    )
     for table, says in (
         (
             {"near_m": 1},

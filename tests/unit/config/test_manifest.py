@@ -43,7 +43,8 @@ sub/ü.mov,,x.mkv,,,,,false
 def read(path: Path, text: str, over: dict[str, Any] | None = None) -> list[JobConfig]:
     path.write_text(text, encoding="utf-8")
     return [
-        load(files, over or {}, parameters()) for files in read_manifest(path, parameters())
+        load(files, over or {}, parameters())
+        for files in read_manifest(path, parameters())
     ]
 
 

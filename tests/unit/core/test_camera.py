@@ -44,7 +44,9 @@ def test_project_is_cv2_project_points(n: int) -> None:
     p = points()
     reference = cv2.projectPoints(p, np.zeros(3), np.zeros(3), K, D[:n])[0][:, 0]
     np.testing.assert_allclose(camera.project(p), reference, atol=1e-8)
-    np.testing.assert_allclose(camera.normalised(reference), p[:, :2] / p[:, 2:], atol=1e-9)
+    np.testing.assert_allclose(
+        camera.normalised(reference), p[:, :2] / p[:, 2:], atol=1e-9
+    )
 
 
 def test_fisheye_is_cv2_fisheye() -> None:
@@ -55,7 +57,9 @@ def test_fisheye_is_cv2_fisheye() -> None:
         :, 0
     ]
     np.testing.assert_allclose(camera.project(p), reference, atol=1e-8)
-    np.testing.assert_allclose(camera.normalised(reference), p[:, :2] / p[:, 2:], atol=1e-9)
+    np.testing.assert_allclose(
+        camera.normalised(reference), p[:, :2] / p[:, 2:], atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("tilt_deg", [10.0, 70.0, 80.0, 89.0])

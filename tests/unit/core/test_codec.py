@@ -37,7 +37,12 @@ class Outer(codec.Document):
 def test_documents_are_json_by_the_types_of_their_fields() -> None:
     inner = Inner(np.eye(2), np.array([[0.5, 2.0]], np.float32))
     one = Outer(
-        "x", Path("/a/b"), ((1.0, 2.0), (3.0, 4.0)), {"i": inner}, [inner], Pose.identity()
+        "x",
+        Path("/a/b"),
+        ((1.0, 2.0), (3.0, 4.0)),
+        {"i": inner},
+        [inner],
+        Pose.identity(),
     )
     text = json.dumps(one.to_json(), allow_nan=False)
     again = Outer.from_json(json.loads(text))
@@ -46,9 +51,11 @@ def test_documents_are_json_by_the_types_of_their_fields() -> None:
         and again.width == math.inf
         and again.pose == one.pose
     )
-    assert (again.name, again.path, again.rows) == (one.name, one.path, one.rows) and type(
-        again.some
-    ) is list
+    assert (again.name, again.path, again.rows) == (
+        one.name,
+        one.path,
+        one.rows,
+    ) and type(again.some) is list
     for read in (again.by_name["i"], again.some[0]):
         assert identical(read.a, inner.a) and identical(read.b, inner.b)
     bare = Outer.from_json(

@@ -32,7 +32,13 @@ def test_hlg_is_light_of_the_scene_with_diffuse_white_at_three_quarters() -> Non
     white = (math.exp((0.75 - C) / A) + B) / 12
     assert 1000 * white**1.2 == pytest.approx(203, rel=2e-3), "on a display of 1000 cd/m2"
     t = Transfer("hlg")
-    for coded, scene in ((0.0, 0.0), (0.25, 1 / 48), (0.5, 1 / 12), (0.75, white), (1, 1)):
+    for coded, scene in (
+        (0.0, 0.0),
+        (0.25, 1 / 48),
+        (0.5, 1 / 12),
+        (0.75, white),
+        (1, 1),
+    ):
         assert float(t.decode(np.array(coded))) == pytest.approx(scene / white, abs=1e-6)
 
 

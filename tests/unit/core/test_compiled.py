@@ -219,9 +219,7 @@ def test_a_line_kernel_counts_no_references(tmp_path: Path) -> None:
     `line_kernel`: nothing else names it, results stay the same, and kernels that go by
     lines get up to a quarter slower. `arfx bench --stage composite` and `make bench` say
     how much; where it is too much, pass indices in place of parts of arrays."""
-    source = (
-        "def f(lines, out):\n    for y in range(len(out)):\n        out[y] = g(lines[y])\n"
-    )
+    source = "def f(lines, out):\n    for y in range(len(out)):\n        out[y] = g(lines[y])\n"
     first = compiled.line_kernel()(
         function(tmp_path / "first.py", "def f(line):\n    return line[0]\n")
     )
@@ -254,9 +252,11 @@ def test_a_damaged_file_is_stale(tmp_path: Path, ending: str, how: str) -> None:
     file = tmp_path / f"f{ending}"
     whole = file.read_bytes()
     file.write_bytes(
-        {"empty": b"", "cut": whole[: len(whole) // 2], "noise": whole[:-8] + b"\xff" * 8}[
-            how
-        ]
+        {
+            "empty": b"",
+            "cut": whole[: len(whole) // 2],
+            "noise": whole[:-8] + b"\xff" * 8,
+        }[how]
     )
     assert kept.load("key") is None
     kept.save("key", [1])

@@ -78,7 +78,9 @@ def test_the_shipped_list_prices_every_stage_at_every_level() -> None:
                 {"frames": 1, "mpx": 0.5, "object_mpx": 0.1, "mfaces": 0.006},
             )
             assert found is not None and 0 <= found.low_s <= found.seconds <= found.high_s
-            prepared = [key for key in shipped.prices if key.startswith(f"prepare {name}/")]
+            prepared = [
+                key for key in shipped.prices if key.startswith(f"prepare {name}/")
+            ]
             assert prepared, f"what {name} prepares has a price"
 
 
@@ -88,7 +90,9 @@ def test_five_textures_cost_more_than_one() -> None:
     for model in (ball(), textured_ball(60, 51)):
         scene = bench_scene(640, 360, 0.2, model)
         need = scene.scene.camera.rect
-        found = shipped.predict("raster/standard", terms_of(need, scene.facts, scene.scene))
+        found = shipped.predict(
+            "raster/standard", terms_of(need, scene.facts, scene.scene)
+        )
         assert found is not None
         seconds.append(found.seconds)
     assert seconds[1] > 2 * seconds[0]

@@ -113,7 +113,9 @@ def test_images_never_fall_on_an_input(tmp_path: Path) -> None:
         tmp_path, ".png", named
     )
     with pytest.raises(ConfigError, match="also an input \\(depth\\)"):
-        Guard([("depth", tmp_path)], True).images(tmp_path, ".exr", image_names("%06d.exr"))
+        Guard([("depth", tmp_path)], True).images(
+            tmp_path, ".exr", image_names("%06d.exr")
+        )
     with pytest.raises(ConfigError, match="exists"):
         Guard(()).images(tmp_path, ".png", named)
 

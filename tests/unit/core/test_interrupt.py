@@ -21,7 +21,9 @@ def press(number: int = signal.SIGINT) -> None:
 
 def test_a_signal_that_is_swallowed_is_raised_again() -> None:
     with interrupt.catching():
-        with contextlib.suppress(BaseException):  # as libraries do while they are imported
+        with contextlib.suppress(
+            BaseException
+        ):  # as libraries do while they are imported
             press(signal.SIGTERM)
         with pytest.raises(KeyboardInterrupt):
             interrupt.check()

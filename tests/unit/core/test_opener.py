@@ -45,7 +45,9 @@ def test_devices_pipes_sockets_and_folders_are_refused_unopened(tmp_path: Path) 
         regular("a\0b", "clip")
 
 
-def test_a_file_above_its_kinds_limit_is_refused_without_reading_it(tmp_path: Path) -> None:
+def test_a_file_above_its_kinds_limit_is_refused_without_reading_it(
+    tmp_path: Path,
+) -> None:
     with (tmp_path / "a.yaml").open("wb") as f:
         f.truncate(int(LIMITS["camera file"] * MIB) + 1)
     with pytest.raises(InputError, match=r"more than 0\.25 MiB"):
@@ -112,7 +114,9 @@ def test_every_limit_is_documented() -> None:
 
 
 @pytest.mark.parametrize("name", ["n" * 300, "a\0b", "nowhere", "n" * 300 + ".yaml#cam1"])
-def test_a_name_that_cannot_be_looked_up_is_one_message(tmp_path: Path, name: str) -> None:
+def test_a_name_that_cannot_be_looked_up_is_one_message(
+    tmp_path: Path, name: str
+) -> None:
     for opened in (load_camera, open_depth):
         with pytest.raises(InputError, match=r"camera file|depth"):
             opened(tmp_path / name)

@@ -34,7 +34,10 @@ def test_align_grows_to_the_grid_and_no_further(r: Rect, sx: int, sy: int) -> No
     if not r.empty:
         assert g.x0 % sx == g.x1 % sx == g.y0 % sy == g.y1 % sy == 0
         assert (
-            r.x0 - g.x0 < sx and g.x1 - r.x1 < sx and r.y0 - g.y0 < sy and g.y1 - r.y1 < sy
+            r.x0 - g.x0 < sx
+            and g.x1 - r.x1 < sx
+            and r.y0 - g.y0 < sy
+            and g.y1 - r.y1 < sy
         )
 
 

@@ -15,7 +15,13 @@ from html import unescape
 from pathlib import Path
 from typing import Any
 
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+NAMES = (
+    "chromium",
+    "chromium-browser",
+    "google-chrome",
+    "google-chrome-stable",
+    "chrome",
+)
 WHY = "no Chromium here (looked for " + ", ".join(NAMES) + "; CHROME names one)"
 
 
@@ -43,7 +49,9 @@ def opened(page: Path, work: Path, script: str) -> dict[str, Any]:
       document.body.append(out); }}, 50));</script>"""
     copy = work / "probed.html"
     copy.write_text(
-        text.replace("<head>", "<head>" + early, 1).replace("</body>", late + "</body>", 1),
+        text.replace("<head>", "<head>" + early, 1).replace(
+            "</body>", late + "</body>", 1
+        ),
         encoding="utf-8",
     )
     command = [

@@ -43,7 +43,9 @@ def test_coefficients_come_back_and_none_is_negative() -> None:
         "object_mpx"
     ] == pytest.approx(0.2)
     noisy = fit(runs(0.3), ("frames", "mpx", "object_mpx", "mfaces"))
-    assert all(c >= 0 for c in noisy.coefficients.values()) and noisy.spread > exact.spread
+    assert (
+        all(c >= 0 for c in noisy.coefficients.values()) and noisy.spread > exact.spread
+    )
 
 
 def test_a_run_that_was_disturbed_does_not_take_the_price_with_it() -> None:
@@ -68,7 +70,10 @@ def test_few_runs_are_priced_by_pixels_with_a_wide_interval() -> None:
         [0.02, 0.16],
     )
     deep = fit(few, ("frames", "mpx", "object_mpx", "depth_mpx"))
-    assert deep.coefficients == {"mpx": pytest.approx(2.0), "depth_mpx": pytest.approx(6.0)}
+    assert deep.coefficients == {
+        "mpx": pytest.approx(2.0),
+        "depth_mpx": pytest.approx(6.0),
+    }
     with pytest.raises(ValueError, match="nothing"):
         fit(few, ("mfaces",))
 
@@ -84,7 +89,9 @@ def test_calibration_times_what_it_prices(
 ) -> None:
     prices = calibrate(limit_s=2.0)
     at = {
-        k: prices.predict(f"sleeper/{k}", {"frames": 1.0, "mpx": 0.05, "object_mpx": 0.03})
+        k: prices.predict(
+            f"sleeper/{k}", {"frames": 1.0, "mpx": 0.05, "object_mpx": 0.03}
+        )
         for k in ("draft", "standard")
     }
     assert at["draft"].seconds < at["standard"].seconds < 0.2
@@ -95,7 +102,9 @@ def test_calibration_times_what_it_prices(
 
 
 @pytest.mark.usefixtures("no_output")
-def test_what_there_is_no_time_for_keeps_the_shipped_price_and_its_wide_interval() -> None:
+def test_what_there_is_no_time_for_keeps_the_shipped_price_and_its_wide_interval() -> (
+    None
+):
     prices = calibrate(limit_s=0.0)
     assert set(prices.prices) == {k for k in shipped_prices().prices if "/" in k}
     assert all(p.spread >= UNCALIBRATED for p in prices.prices.values())
@@ -112,9 +121,9 @@ def test_a_scene_that_is_too_small_for_a_stage_is_passed_over(
         "deep = false\nslow = false\n"
     )
     monkeypatch.setattr(costs, "SCENES", scenes)
-    assert all(p.spread >= UNCALIBRATED for p in calibrate(stage="dof").prices.values()), (
-        "as it was shipped"
-    )
+    assert all(
+        p.spread >= UNCALIBRATED for p in calibrate(stage="dof").prices.values()
+    ), "as it was shipped"
     assert calibrate(stage="raster").prices["raster/draft"].runs > 0
     with pytest.raises(ConfigError, match="64x64 px there is nothing for dof"):
         bench([(64, 64)], "dof")

@@ -33,7 +33,9 @@ def test_equal_pictures_differ_by_nothing_and_black_from_white_by_the_most() -> 
 def test_every_figure_grows_with_the_difference() -> None:
     whole = np.ones((40, 40), bool)
     found = [difference(*pair(40, 40, noise), whole) for noise in (3, 12, 50)]
-    assert [d.flip for d in found] == sorted(d.flip for d in found) and found[0].flip > 0.01
+    assert [d.flip for d in found] == sorted(d.flip for d in found) and found[
+        0
+    ].flip > 0.01
     assert [d.delta_e for d in found] == sorted(d.delta_e for d in found) and found[
         0
     ].delta_e > 0.5
@@ -54,7 +56,9 @@ def test_a_mask_gives_the_numbers_of_the_whole_picture() -> None:
     narrower = flip_map(
         a[28:37, 33:49], b[28:37, 33:49]
     )  # without the surroundings they are others: the reach is needed
-    assert np.abs(narrower - flip_map(a, b)[28:37, 33:49]).max() > 1e-2 and MARGIN_PX >= 10
+    assert (
+        np.abs(narrower - flip_map(a, b)[28:37, 33:49]).max() > 1e-2 and MARGIN_PX >= 10
+    )
 
 
 def test_a_picture_smaller_than_the_filters_has_its_figures_too() -> None:

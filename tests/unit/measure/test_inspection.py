@@ -66,7 +66,11 @@ def looked_at(*frames: np.ndarray) -> tuple[list[str], list[str]]:
     seen: dict[str, Found] = {}
     for k, luma in enumerate(frames):
         _record(
-            seen, MarkerDetector(SCANNED_FAMILIES, MIN_SIDE_PX).search(luma), k, luma, None
+            seen,
+            MarkerDetector(SCANNED_FAMILIES, MIN_SIDE_PX).search(luma),
+            k,
+            luma,
+            None,
         )
     kept, left_out = confirmed(seen)
     return names(kept), names(left_out)
@@ -94,7 +98,9 @@ def test_nested_dictionaries_share_their_codes() -> None:
     for n in (4, 5, 6, 7):
         sheets = [
             cv2.aruco.generateImageMarker(
-                cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{n}X{n}_{k}")),
+                cv2.aruco.getPredefinedDictionary(
+                    getattr(cv2.aruco, f"DICT_{n}X{n}_{k}")
+                ),
                 37,
                 60,
             )
@@ -159,7 +165,9 @@ def test_a_code_of_few_bits_with_a_wrong_one_is_no_marker() -> None:
 
 def test_a_code_without_a_white_margin_counts_only_in_three_frames() -> None:
     page = sheet(("4X4_50", 4, (100, 100)))
-    page[60:210, 60:80] = page[60:80, 60:210] = 20  # dark up to a few pixels from the print
+    page[60:210, 60:80] = page[60:80, 60:210] = (
+        20  # dark up to a few pixels from the print
+    )
     page[60:210, 92:97] = 20
     assert looked_at(page) == ([], ["4X4_50:4"])
     assert looked_at(page, page, page) == (["4X4_50:4"], [])
@@ -176,13 +184,17 @@ def test_tilt_is_the_angle_to_the_line_of_sight(tilt: float) -> None:
 
 def test_prints_of_other_sizes_in_one_plane_have_a_size_of_their_own() -> None:
     """12 px a cell: 96 px of 8 cells, 72 of 6; seen at a slant, and one moved out of the plane."""
-    page = sheet(("36h11", 7, (60, 60)), ("4X4_50", 3, (300, 80)), ("36h11", 5, (420, 300)))
+    page = sheet(
+        ("36h11", 7, (60, 60)), ("4X4_50", 3, (300, 80)), ("36h11", 5, (420, 300))
+    )
     corners = np.array([[0, 0], [640, 0], [640, 480], [0, 480]], np.float32)
     slanted = np.array([[30, 20], [600, 60], [620, 460], [10, 420]], np.float32)
     h = cv2.getPerspectiveTransform(corners, slanted)
     luma = cv2.warpPerspective(page, h, (640, 480), borderValue=230)
     seen: dict[str, Found] = {}
-    _record(seen, MarkerDetector(SCANNED_FAMILIES, MIN_SIDE_PX).search(luma), 0, luma, None)
+    _record(
+        seen, MarkerDetector(SCANNED_FAMILIES, MIN_SIDE_PX).search(luma), 0, luma, None
+    )
     first, small, same = (seen[k] for k in ("36h11:7", "4X4_1000:3", "36h11:5"))
     assert relative_size(first, small) == pytest.approx(0.75, abs=0.02)
     assert relative_size(first, same) == pytest.approx(1.0, abs=0.02)

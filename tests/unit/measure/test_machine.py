@@ -27,7 +27,9 @@ def test_this_machine_is_examined_in_every_respect(tmp_path: Path) -> None:
         c.name for c in checks
     }
     assert essentials_work(checks), [c for c in checks if not c.ok]
-    assert all(c.fix for c in checks if not c.ok) and not any(c.fix for c in checks if c.ok)
+    assert all(c.fix for c in checks if not c.ok) and not any(
+        c.fix for c in checks if c.ok
+    )
 
 
 def test_an_encoder_that_does_not_work_is_found_out(
@@ -80,5 +82,8 @@ def test_a_plug_in_that_does_not_load_is_told(monkeypatch: pytest.MonkeyPatch) -
     )
     haze, mist = sorted(machine._plugins(), key=lambda c: c.name)
     assert (
-        haze.ok and not mist.ok and "one 1.2" in mist.detail and mist.fix == "uninstall it"
+        haze.ok
+        and not mist.ok
+        and "one 1.2" in mist.detail
+        and mist.fix == "uninstall it"
     )

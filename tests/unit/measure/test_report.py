@@ -96,7 +96,9 @@ class Links(html.parser.HTMLParser):
 
 def test_the_page_is_self_contained_escaped_and_well_formed(tmp_path: Path) -> None:
     cube = np.array([[0.0, 0, 0], [0.1, 0, 0]])
-    path = write_report(tmp_path / "new" / "rep", REPORT, six(), pictures(), camera(), cube)
+    path = write_report(
+        tmp_path / "new" / "rep", REPORT, six(), pictures(), camera(), cube
+    )
     text = path.read_text()
     links = Links()
     links.feed(text)
@@ -106,9 +108,9 @@ def test_the_page_is_self_contained_escaped_and_well_formed(tmp_path: Path) -> N
     assert "<script>alert" not in text and "&lt;script&gt;alert(1)" in text
     assert "a&lt;b&gt;&amp;.mp4" in text and "marker &lt;not&gt; visible" in text
     assert "secret detail" not in text
-    assert len([a for a in links.addresses if a.startswith("data:image/jpeg")]) == 2 * len(
-        pictures()
-    )
+    assert len(
+        [a for a in links.addresses if a.startswith("data:image/jpeg")]
+    ) == 2 * len(pictures())
 
 
 def test_the_pictures_in_the_page_are_the_given_ones(tmp_path: Path) -> None:
@@ -148,7 +150,9 @@ def test_short_and_empty_clips_get_a_report(
 ) -> None:
     assert (
         "kept no pictures"
-        in write_report(tmp_path, REPORT, facts, [], camera(), np.zeros((1, 3))).read_text()
+        in write_report(
+            tmp_path, REPORT, facts, [], camera(), np.zeros((1, 3))
+        ).read_text()
     )
 
 
@@ -177,13 +181,17 @@ def test_numbers_read_well() -> None:
     assert [number(v) for v in (None, True, 0.123456, 1234.5, [1.0, 2], {"a": 0.5}, "x", [])] == [
         "–", "yes", "0.123", "1234", "1, 2", "a 0.5", "x", "–",
     ]  # fmt: skip
-    assert finite({"a": [math.inf, np.float32(1.5), np.array([1, 2])], 3: (math.nan,)}) == {
+    assert finite(
+        {"a": [math.inf, np.float32(1.5), np.array([1, 2])], 3: (math.nan,)}
+    ) == {
         "a": [None, 1.5, [1, 2]],
         "3": [None],
     }
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes with names")
+@pytest.mark.skipif(
+    not hasattr(os, "mkfifo"), reason="this system has no pipes with names"
+)
 def test_a_pipe_in_a_job_folder_is_not_waited_for(tmp_path: Path) -> None:
     (tmp_path / "job.toml").write_text("")
     os.mkfifo(tmp_path / "report.json")
@@ -194,7 +202,8 @@ def test_a_pipe_in_a_job_folder_is_not_waited_for(tmp_path: Path) -> None:
 def test_a_likely_light_is_told_with_its_doubt_and_its_spans(tmp_path: Path) -> None:
     text = write_report(tmp_path, REPORT, six(), []).read_text()
     assert (
-        "Likely: the simplest light" in text and "two lamps up to 30 degrees apart" in text
+        "Likely: the simplest light" in text
+        and "two lamps up to 30 degrees apart" in text
     )
     assert "0.10 – 0.20" in text and "0.5, 0.4, 0.3" in text
 

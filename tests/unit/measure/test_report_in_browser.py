@@ -66,6 +66,9 @@ def test_the_tradeoff_shows_plots_and_pictures(tmp_path: Path) -> None:
         page, tmp_path, SHOWN % "plots: document.querySelectorAll('img.plot').length"
     )
     assert (
-        got["errors"] == [] and got["broken"] == 0 and got["plots"] == 2 and not got["wide"]
+        got["errors"] == []
+        and got["broken"] == 0
+        and got["plots"] == 2
+        and not got["wide"]
     )
     assert page.stat().st_size <= 5_000_000

@@ -22,7 +22,13 @@ from arfx.measure.steps import Chain, FrameRenderer, PreparedStages, window_of
 from arfx.measure.tradeoff import Measurements, _choose_windows, _Work
 from arfx.measure.tradeoff_frames import NAMES, Sample, pick_frames
 from arfx.measure.tradeoff_html import MOST_BYTES, _share, error_map, page, recommendation
-from arfx.measure.tradeoff_pipelines import LEFT_OUT, Row, front, level_sets, worth_showing
+from arfx.measure.tradeoff_pipelines import (
+    LEFT_OUT,
+    Row,
+    front,
+    level_sets,
+    worth_showing,
+)
 from arfx.measure.tradeoff_time import Times
 from arfx.plan.planner import plan_frame
 from arfx.run.parameters import stages_of
@@ -121,7 +127,11 @@ def test_a_picture_that_moves_with_its_footage_is_at_rest_and_one_that_flickers_
     where[20:60, 20:80] = True
     steady = mean_flicker(plate, moved, plate, moved, where)
     flicker = mean_flicker(
-        plate, np.clip(moved.astype(int) + 12, 0, 255).astype(np.uint8), plate, moved, where
+        plate,
+        np.clip(moved.astype(int) + 12, 0, 255).astype(np.uint8),
+        plate,
+        moved,
+        where,
     )
     assert steady < 2.5 and flicker > steady + 8
 
@@ -147,7 +157,11 @@ def test_a_window_shows_what_the_whole_picture_shows() -> None:
 def tiny_frame(stages: Mapping[str, Stage]) -> FrameRenderer:
     s = scene(camera(160, 120))
     plan = plan_frame(
-        list(stages.values()), dict.fromkeys(stages, "standard"), facts(s), s, s.camera.rect
+        list(stages.values()),
+        dict.fromkeys(stages, "standard"),
+        facts(s),
+        s,
+        s.camera.rect,
     )
     plate = np.zeros((120, 160, 3), np.float32)
     return FrameRenderer(facts(s), plate, plan, stages, s.camera.rect, PreparedStages(s))
@@ -162,7 +176,9 @@ class Deep(Stage):
         depth = view[Layer.REAL_DEPTH]
         return {
             Layer.IMAGE: (
-                np.repeat(depth[..., None], 3, -1) if depth.size else 0 * view[Layer.IMAGE]
+                np.repeat(depth[..., None], 3, -1)
+                if depth.size
+                else 0 * view[Layer.IMAGE]
             )
         }
 
@@ -179,7 +195,9 @@ def test_stages_read_the_measured_depth_as_in_a_job() -> None:
     plate = np.zeros((120, 160, 3), np.float32)
     pictures = []
     for measured_m in (depth, None):
-        frame = FrameRenderer(f, plate, plan, stages, window, PreparedStages(s), measured_m)
+        frame = FrameRenderer(
+            f, plate, plan, stages, window, PreparedStages(s), measured_m
+        )
         pictures.append(frame.image(frame.chain({"deep": "standard"})))
     assert np.array_equal(
         pictures[0][..., 0], np.rint(255 * SRGB.encode(depth[window.slices]))
@@ -279,7 +297,9 @@ def test_what_is_left_of_a_job_has_the_settings_of_a_job_of_its_own() -> None:
     usual = dict.fromkeys(stages, "standard")
     work = work_of(tiny_frame(stages), usual)
     left = {n: level for n, level in usual.items() if n != "gi"}
-    assert work.stages(usual) is stages and work.stages(left)["raster"] is stages["raster"]
+    assert (
+        work.stages(usual) is stages and work.stages(left)["raster"] is stages["raster"]
+    )
     soft = [work.stages(levels)["lightmap"].soft for levels in (usual, left)]
     assert soft == [False, True], "indirect light takes over, and gives back"
 
@@ -332,7 +352,9 @@ def test_pipelines_between_the_qualities_are_shown_where_nothing_beats_them_and_
         ("reference", 9, 0),
     )
     between = ((0.1, 0.5), (0.11, 0.49), (0.03, 2.1), (0.06, 0.7), (0.004, 5))
-    rows = [row("pipeline", *of, 9) for of in (*named, *(("mixed", *of) for of in between))]
+    rows = [
+        row("pipeline", *of, 9) for of in (*named, *(("mixed", *of) for of in between))
+    ]
     assert [r.seconds for r in worth_showing(rows)] == [0.004, 0.02, 0.05, 0.1, 0.3, 9]
 
 

@@ -102,7 +102,9 @@ def test_the_mirrored_solution_counts_as_a_flip(truth: Truth) -> None:
     for i in (7, 8, 20):
         estimates[i] = mirrored(estimates[i])
     assert pose_errors(estimates, truth, KEY, SIZE)["flips"] == 3
-    away = [p @ Pose.from_rotvec(np.radians([0, 0, 15]), np.zeros(3)) for p in exact(truth)]
+    away = [
+        p @ Pose.from_rotvec(np.radians([0, 0, 15]), np.zeros(3)) for p in exact(truth)
+    ]
     assert pose_errors(away, truth, KEY, SIZE)["flips"] == 0, (
         "a large error that is no flip"
     )
@@ -253,7 +255,9 @@ def lit(
     unit = (float(np.cos(e) * np.cos(a)), float(np.cos(e) * np.sin(a)), float(np.sin(e)))
     rgb = (0.5 * brightness,) * 3
     return Light(
-        (0.3 * brightness,) * 3, (DirectionalLight(unit, rgb, 2.0, cone),), source="marker"
+        (0.3 * brightness,) * 3,
+        (DirectionalLight(unit, rgb, 2.0, cone),),
+        source="marker",
     )
 
 

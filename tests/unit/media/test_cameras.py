@@ -15,7 +15,12 @@ import yaml
 
 from arfx.core.camera import BROWN, FISHEYE, Camera
 from arfx.errors import InputError
-from arfx.media.cameras import calibration_claims, claim_warnings, load_camera, save_camera
+from arfx.media.cameras import (
+    calibration_claims,
+    claim_warnings,
+    load_camera,
+    save_camera,
+)
 
 K = np.array([[801.5, 0, 322.25], [0, 799.125, 239.75], [0, 0, 1]])
 D5 = np.array([-0.2664, 0.0386, 0.00178, -0.00028, 0.2384])
@@ -223,7 +228,10 @@ cam1:
         load_camera(path)
     k = np.array([[458.6, 0, 367.2], [0, 457.2, 248.3], [0, 0, 1]])
     same(
-        load_camera(f"{path}#cam0"), k, np.array([-0.28, 0.07, 0.0002, 1.7e-05]), (752, 480)
+        load_camera(f"{path}#cam0"),
+        k,
+        np.array([-0.28, 0.07, 0.0002, 1.7e-05]),
+        (752, 480),
     )
     assert load_camera(f"{path}#cam1").model == FISHEYE
     with pytest.raises(InputError, match="omni-radtan"):
@@ -411,7 +419,9 @@ def test_colmaps_binary_model(tmp_path: Path) -> None:
         (b"<opencv_storage><K>", "neither valid"), (b"<!DOCTYPE a><opencv_storage/>", "a DOCTYPE is not read"),
     ],
 )  # fmt: skip
-def test_files_that_are_not_read_are_named(tmp_path: Path, data: bytes, said: str) -> None:
+def test_files_that_are_not_read_are_named(
+    tmp_path: Path, data: bytes, said: str
+) -> None:
     path = tmp_path / "camera"
     path.write_bytes(data)
     with pytest.raises(InputError, match=said):

@@ -93,7 +93,9 @@ def test_pages_of_a_tiff_are_maps_in_order(tmp_path: Path, kind: type) -> None:
         2,
         3,
     ]
-    np.testing.assert_allclose(found.load(2, W, H), depth(2) / np.float32(1000), rtol=1e-6)
+    np.testing.assert_allclose(
+        found.load(2, W, H), depth(2) / np.float32(1000), rtol=1e-6
+    )
     with pytest.raises(InputError, match="holds 4 maps, the clip has 3 frames"):
         found.of_frames([0.0, 0.1, 0.2], 0, whole=True)
     cv2.imwrite(str(tmp_path / "one.tif"), maps[1].astype(kind))

@@ -109,7 +109,9 @@ def exr(channels: tuple[str, ...], display: tuple[int, int] = (W, H)) -> bytes:
     )
     head += attribute(b"dataWindow", b"box2i", struct.pack("<4i", 0, 0, W - 1, H - 1))
     head += attribute(
-        b"displayWindow", b"box2i", struct.pack("<4i", 0, 0, display[0] - 1, display[1] - 1)
+        b"displayWindow",
+        b"box2i",
+        struct.pack("<4i", 0, 0, display[0] - 1, display[1] - 1),
     )
     head += attribute(b"lineOrder", b"lineOrder", b"\0") + attribute(
         b"pixelAspectRatio", b"float", struct.pack("<f", 1)

@@ -126,12 +126,16 @@ def test_linear_light_is_the_textbooks(name: str, location: str) -> None:
         )
 
 
-@pytest.mark.parametrize("transfer", ["srgb", "bt709", "bt1886", "gamma:2.2", "hlg", "pq"])
+@pytest.mark.parametrize(
+    "transfer", ["srgb", "bt709", "bt1886", "gamma:2.2", "hlg", "pq"]
+)
 def test_light_follows_the_transfer(transfer: str) -> None:
     f = frame("yuv444p10le", transfer=Transfer(transfer))
     linear, textbook = f.linear(f.rect), reference_linear(f)
     encode = f.format.transfer.encode
-    assert np.abs(encode(linear.astype(float)) - encode(textbook)).max() < STEP_SHARE / 876
+    assert (
+        np.abs(encode(linear.astype(float)) - encode(textbook)).max() < STEP_SHARE / 876
+    )
 
 
 @pytest.mark.parametrize("name", ["gbrp", "gbrp10le", "gray", "gray10le"])
@@ -179,9 +183,9 @@ def test_rectangles_agree_and_edits_stay_inside(
     for k, (a, b) in enumerate(zip(old, samples(g), strict=True)):
         sx, sy = (lay.sub_x, lay.sub_y) if k else (0, 0)
         inside = np.zeros(a.shape, bool)
-        inside[coded.y0 >> sy : -(-coded.y1 >> sy), coded.x0 >> sx : -(-coded.x1 >> sx)] = (
-            True
-        )
+        inside[
+            coded.y0 >> sy : -(-coded.y1 >> sy), coded.x0 >> sx : -(-coded.x1 >> sx)
+        ] = True
         w = f.format.width if not k or lay.kind != "yuv" else -(-f.format.width >> sx)
         h = a.shape[0]
         assert np.array_equal(a[:h, :w][~inside[:h, :w]], b[:h, :w][~inside[:h, :w]])

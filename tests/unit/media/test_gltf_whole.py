@@ -46,7 +46,11 @@ class Writer:
     def accessor(self, array, **more):
         array = np.asarray(array)
         kind = "SCALAR" if array.ndim == 1 else f"VEC{array.shape[1]}"
-        row = {"bufferView": self.view(array.tobytes()), "count": len(array), "type": kind}
+        row = {
+            "bufferView": self.view(array.tobytes()),
+            "count": len(array),
+            "type": kind,
+        }
         self.tree["accessors"].append(
             row | {"componentType": KINDS[array.dtype.str[1:]]} | more
         )
@@ -72,7 +76,9 @@ class Writer:
         return {"index": number}
 
     def load(self, folder):
-        uri = "data:application/octet-stream;base64," + base64.b64encode(self.data).decode()
+        uri = (
+            "data:application/octet-stream;base64," + base64.b64encode(self.data).decode()
+        )
         tree = {"buffers": [{"byteLength": len(self.data), "uri": uri}]} | self.tree
         (folder / "m.gltf").write_text(json.dumps(tree))
         return load_model(folder / "m.gltf")
@@ -109,7 +115,10 @@ def test_used_extension_that_is_not_read_and_what_is_not_drawn_are_told(tmp_path
     ]
     bumps = w.texture(CORNERS)
     coat = {
-        "KHR_materials_clearcoat": {"clearcoatFactor": 0.5, "clearcoatNormalTexture": bumps}
+        "KHR_materials_clearcoat": {
+            "clearcoatFactor": 0.5,
+            "clearcoatNormalTexture": bumps,
+        }
     }
     w.tree["materials"] = [
         {
@@ -273,12 +282,16 @@ def test_unlit_is_emission_and_glossy_is_converted(tmp_path):
 
 def test_shine_textures_are_converted_by_texel(tmp_path):
     w = Writer()
-    shine = [[[0, 0, 0, 255], [255, 255, 255, 51]]]  # matt white and glossy; a dull mirror
+    shine = [
+        [[0, 0, 0, 255], [255, 255, 255, 51]]
+    ]  # matt white and glossy; a dull mirror
     glossy = {
         "diffuseTexture": w.texture(np.full((1, 1, 3), 255)),
         "specularGlossinessTexture": w.texture(shine),
     }
-    w.tree["materials"] = [{"extensions": {"KHR_materials_pbrSpecularGlossiness": glossy}}]
+    w.tree["materials"] = [
+        {"extensions": {"KHR_materials_pbrSpecularGlossiness": glossy}}
+    ]
     w.primitive(POSITION=w.accessor(SQUARE), TEXCOORD_0=w.accessor(SQUARE[:, :2].copy()))[
         "material"
     ] = 0
@@ -379,7 +392,9 @@ def test_any_value_of_a_wrong_kind_loads_or_is_refused_in_words(tmp_path, wrong)
     w.primitive(POSITION=place, TEXCOORD_0=uv, NORMAL=place, TANGENT=tangent)[
         "material"
     ] = 1
-    where = {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": w.accessor(SQUARE)}}}
+    where = {
+        "EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": w.accessor(SQUARE)}}
+    }
     w.tree["nodes"] = [
         {"children": [1]},
         {"mesh": 0, "extensions": where, "rotation": [0, 0, 0, 1], "scale": [1, 1, 1]},

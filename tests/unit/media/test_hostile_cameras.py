@@ -122,7 +122,8 @@ def test_what_is_odd_is_told(
 
 def test_usual_cameras_raise_no_doubt(tmp_path: Path) -> None:
     assert (
-        camera_warnings(load_camera(camera(tmp_path, distortion=(-0.28, 0.07, 0, 0)))) == []
+        camera_warnings(load_camera(camera(tmp_path, distortion=(-0.28, 0.07, 0, 0))))
+        == []
     )
     assert camera_warnings(Camera.guess(1920, 1080)) == []
     fisheye = Camera(

@@ -107,7 +107,9 @@ def test_a_buffer_outside_the_models_folder_is_refused(tmp_path: Path, name: str
 )
 def test_an_address_is_no_file_of_the_folder(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError, match=r"not in its folder|outside its folder"):
-        load_model(gltf(tmp_path / "m", header(buffers=[{"uri": name, "byteLength": 36}])))
+        load_model(
+            gltf(tmp_path / "m", header(buffers=[{"uri": name, "byteLength": 36}]))
+        )
 
 
 def test_a_name_outside_the_models_folder_is_not_even_looked_up(
@@ -136,7 +138,9 @@ def test_materials_that_are_missing_or_outside_are_told(tmp_path: Path, mtl: str
     assert mtl in notice and "left out" in notice
 
 
-def test_textures_that_are_missing_outside_or_no_pictures_are_told(tmp_path: Path) -> None:
+def test_textures_that_are_missing_outside_or_no_pictures_are_told(
+    tmp_path: Path,
+) -> None:
     Image.new("RGB", (2, 2)).save(tmp_path / "out.png")
     for name, why in (("../out.png", "outside"), ("none.png", "not in its folder")):
         (notice,) = load_model(
@@ -144,7 +148,9 @@ def test_textures_that_are_missing_outside_or_no_pictures_are_told(tmp_path: Pat
         ).notices
         assert why in notice
     (tmp_path / "m" / "t.png").write_text("no picture")
-    (notice,) = load_model(obj(tmp_path / "m", "a.mtl", "newmtl m\nmap_Kd t.png\n")).notices
+    (notice,) = load_model(
+        obj(tmp_path / "m", "a.mtl", "newmtl m\nmap_Kd t.png\n")
+    ).notices
     assert "PNG" in notice
 
 
@@ -162,7 +168,9 @@ def test_postscript_under_a_pictures_name_starts_no_program(
     tmp_path.joinpath("t.png").write_bytes(eps)
     import base64
 
-    uri = "data:image/png;base64," + base64.b64encode(eps).decode() if embedded else "t.png"
+    uri = (
+        "data:image/png;base64," + base64.b64encode(eps).decode() if embedded else "t.png"
+    )
     path = gltf(tmp_path, header(images=[{"uri": uri}], textures=[{"source": 0}],
                                  materials=[{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]))  # fmt: skip
     for name in ("subprocess.Popen", "subprocess.check_call", "os.system"):
@@ -215,7 +223,9 @@ def put(*keys: Any) -> Any:
         put("meshes", 0, "primitives", 0, "material", 4),
         put("meshes", 0, "primitives", 0, "indices", 0),
         put("meshes", 0, "primitives", "x"),
-        put("materials", [{"pbrMetallicRoughness": {"baseColorFactor": [1e999, 0, 0, 1]}}]),
+        put(
+            "materials", [{"pbrMetallicRoughness": {"baseColorFactor": [1e999, 0, 0, 1]}}]
+        ),
         put("materials", [{"pbrMetallicRoughness": {"metallicFactor": float("nan")}}]),
         put("materials", [{"name": "m", "emissiveFactor": [1e999, 0, 0]}]),
         put("materials", [{"pbrMetallicRoughness": 5}]),
@@ -317,7 +327,9 @@ def test_instances_are_counted_before_anything_is_built(tmp_path: Path) -> None:
 
 
 def test_what_moves_a_model_is_told_to_be_left_out(tmp_path: Path) -> None:
-    moving = header(animations=[{"channels": [], "samplers": []}], skins=[{"joints": [0]}])
+    moving = header(
+        animations=[{"channels": [], "samplers": []}], skins=[{"joints": [0]}]
+    )
     (notice,) = load_model(gltf(tmp_path, moving)).notices
     assert "1 animation and 1 skin left out" in notice
 
@@ -328,7 +340,9 @@ def test_content_tells_the_format(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["a.zip", "a.tar.gz", "a.json", "a.3mf", "a.xyz", "a"])
-def test_archives_and_formats_without_faces_are_refused(tmp_path: Path, name: str) -> None:
+def test_archives_and_formats_without_faces_are_refused(
+    tmp_path: Path, name: str
+) -> None:
     (tmp_path / name).write_bytes(b"PK\x03\x04 whatever")
     with pytest.raises(InputError, match="not a format that is read"):
         load_model(tmp_path / name)

@@ -35,9 +35,9 @@ def interlaced(path: Path, order: str) -> Path:
         s.codec_context.flags |= Flags.interlaced_dct | Flags.interlaced_me
         s.codec_context.field_order = ORDERS[order]
         for i in range(8):
-            frame = av.VideoFrame.from_ndarray(pattern(i, 96, 64), format="rgb24").reformat(
-                format="yuv420p"
-            )
+            frame = av.VideoFrame.from_ndarray(
+                pattern(i, 96, 64), format="rgb24"
+            ).reformat(format="yuv420p")
             frame.pts = i
             graph.vpush(frame)
             out.mux(s.encode(graph.vpull()))

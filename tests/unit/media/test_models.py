@@ -65,7 +65,11 @@ def test_gltf_factors_are_exact_and_defaults_are_the_standards(tmp_path: Path) -
     np.testing.assert_allclose(
         material.base_colour, base, atol=1e-6
     )  # trimesh alone rounds to 8 bits: .0118
-    assert (material.metallic, material.roughness, material.alpha_mode) == (1.0, 1.0, BLEND)
+    assert (material.metallic, material.roughness, material.alpha_mode) == (
+        1.0,
+        1.0,
+        BLEND,
+    )
     np.testing.assert_allclose(material.emissive, [0.5, 0.25, 0.125])
     assert m.up == "y" and not material.double_sided
 
@@ -110,7 +114,9 @@ def test_obj_with_spaces_in_its_textures_name(tmp_path: Path) -> None:
     p = load_model(tmp_path / "a.obj").parts[0]
     assert p.material.base_texture is not None and p.uv is not None
     at = p.uv_on(p.material.base_texture)[np.flatnonzero((p.vertices == 0).all(1))[0]]
-    np.testing.assert_allclose(at, [0, 0], atol=1e-9)  # vt (0, 1) is the picture's top left
+    np.testing.assert_allclose(
+        at, [0, 0], atol=1e-9
+    )  # vt (0, 1) is the picture's top left
     assert p.material.base_texture.picture[0, 0, :3].tolist() == [255, 10, 20]
     assert p.material.base_colour[0] == pytest.approx(
         float(SRGB.decode(np.array(0.5))), abs=0.004

@@ -110,7 +110,9 @@ def test_faces_of_many_corners_are_fans(tmp_path: Path, face: str) -> None:
     (tmp_path / "a.obj").write_text("\n".join([*lines, "vn 0 0 2", face]))
     (part,) = load_model(tmp_path / "a.obj").parts
     corners = part.vertices[part.faces][..., :2]
-    assert corners.tolist() == [[list(places[k]) for k in (0, k, k + 1)] for k in (1, 2, 3)]
+    assert corners.tolist() == [
+        [list(places[k]) for k in (0, k, k + 1)] for k in (1, 2, 3)
+    ]
     assert (
         part.uv is not None and (part.uv == part.vertices[:, :2] * (1, -1) + (0, 1)).all()
     )
@@ -199,7 +201,8 @@ def test_colours_of_a_ply_are_kept_beside_coordinates(tmp_path: Path) -> None:
     (part,) = ply(tmp_path, "von Jürgen").parts
     assert part.colours is not None and part.material.base_colour == (1, 1, 1, 1)
     by_place = {
-        tuple(v[:2]): tuple(c[:3]) for v, c in zip(part.vertices, part.colours, strict=True)
+        tuple(v[:2]): tuple(c[:3])
+        for v, c in zip(part.vertices, part.colours, strict=True)
     }
     assert by_place == {
         (0, 0): (1, 0, 0),

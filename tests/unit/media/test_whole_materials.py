@@ -35,7 +35,10 @@ def test_every_slot_and_factor_is_read(tmp_path):
         "clearcoatTexture": slot(),
         "clearcoatRoughnessFactor": 0.2,
     }
-    coat |= {"clearcoatRoughnessTexture": slot(), "clearcoatNormalTexture": slot(scale=0.3)}
+    coat |= {
+        "clearcoatRoughnessTexture": slot(),
+        "clearcoatNormalTexture": slot(scale=0.3),
+    }
     sheen = {"sheenColorFactor": [0.1, 0.2, 0.3], "sheenRoughnessFactor": 0.4}
     sheen |= {"sheenColorTexture": slot(), "sheenRoughnessTexture": slot()}
     given = {
@@ -80,7 +83,9 @@ def test_samplers_transforms_and_sets_are_each_textures_own(tmp_path):
     w = Writer()
     sampler = {"wrapS": 33071, "wrapT": 33648, "magFilter": 9728}
     base = w.texture(CORNERS, **sampler) | {"texCoord": 1}
-    glow = w.texture(CORNERS) | {"extensions": {"KHR_texture_transform": {"scale": [2, 3]}}}
+    glow = w.texture(CORNERS) | {
+        "extensions": {"KHR_texture_transform": {"scale": [2, 3]}}
+    }
     given = {
         "pbrMetallicRoughness": {"baseColorTexture": base},
         "emissiveTexture": glow,
@@ -206,7 +211,11 @@ def test_tangents_of_the_file_turn_with_its_node(tmp_path, mirrored):
         }
     ]
     part = material_of(
-        w, {"normalTexture": w.texture(CORNERS)}, tmp_path, NORMAL=normals, TANGENT=tangents
+        w,
+        {"normalTexture": w.texture(CORNERS)},
+        tmp_path,
+        NORMAL=normals,
+        TANGENT=tangents,
     )
     assert part.tangents == pytest.approx(
         np.array([[-1, 0, 0, -1 if mirrored else 1]] * 4), abs=1e-6

@@ -67,7 +67,9 @@ def test_settings_that_change_nothing_are_said() -> None:
 
 
 @pytest.mark.parametrize("level", [2, 3, 4, 5])
-def test_figure_1_is_a_hemisphere_of_triangles_one_of_them_at_its_pole(level: int) -> None:
+def test_figure_1_is_a_hemisphere_of_triangles_one_of_them_at_its_pole(
+    level: int,
+) -> None:
     n = hemisphere(level)
     assert (n[:, 2] >= 0).all() and np.linalg.norm(n, axis=1) == pytest.approx(1)
     assert (
@@ -179,7 +181,9 @@ def test_the_papers_lights_are_those_that_no_other_candidate_near_them_rivals(
 
 def test_brightness_as_albedo_makes_the_first_pictures_light_1() -> None:
     done = run(Clip())
-    first, known = (f.light for f in (done.facts[0], run(Clip(), albedos="known").facts[0]))
+    first, known = (
+        f.light for f in (done.facts[0], run(Clip(), albedos="known").facts[0])
+    )
     assert first is not None and known is not None
     assert first.radiance(done.facts[0].camera_from_world.rotation.T @ UP).mean() < 3  # type: ignore[union-attr]
     x, true = first.radiance(UP), known.radiance(UP)

@@ -26,7 +26,9 @@ from tests.unit.stages.test_lightmap_shading import (
 
 def test_a_highlight_is_brightest_where_the_eye_sees_the_light_mirrored() -> None:
     n, d = np.tile([0.0, 0, 1], (4, 1)), normalise(np.array([0.6, 0, 0.8]))
-    v = normalise(np.array([[-0.6, 0, 0.8], [-0.5, 0, 0.8], [0.6, 0, 0.8], [-0.6, 0, 0.8]]))
+    v = normalise(
+        np.array([[-0.6, 0, 0.8], [-0.5, 0, 0.8], [0.6, 0, 0.8], [-0.6, 0, 0.8]])
+    )
     one, aside, back, rough = phong(n, v, d, np.array([0.3, 0.3, 0.3, 0.9]))
     assert (
         one == pytest.approx(1)

@@ -76,7 +76,9 @@ def test_a_closed_aperture_has_no_limit_behind() -> None:
     for fnumber in (1e12, math.inf):
         d = printed_limits(Lens(50.0, fnumber, 1000.0), COC)
         assert (
-            d.front_mm == pytest.approx(1000.0) and d.back_mm is None and d.total_mm is None
+            d.front_mm == pytest.approx(1000.0)
+            and d.back_mm is None
+            and d.total_mm is None
         )
     with pytest.raises(InputError, match="circle of confusion"):
         printed_limits(EXAMPLE, 0.0)
@@ -148,7 +150,9 @@ def test_inside_lies_between_the_printed_limits() -> None:
     *_, sharp = at_distances()
     front, back = eq4_front(11.0, COC, 2500.0, 200.0), eq5_back(11.0, COC, 2500.0, 200.0)
     assert back is not None
-    assert [1e3 / d for d in sharp] == pytest.approx([2500 + back, 2500 - front], rel=1e-12)
+    assert [1e3 / d for d in sharp] == pytest.approx(
+        [2500 + back, 2500 - front], rel=1e-12
+    )
     within = 2500 - front + 0.5, 2500 + back - 0.5
     dioptre, at, _ = at_distances(*(d / 1e3 for d in within))
     assert (within_depth_of_field(dioptre, sharp, 0.0) == 2 / 3).all() and (
@@ -163,7 +167,9 @@ def test_beyond_the_hyperfocal_distance_all_behind_is_inside(
     step: float, all_behind: bool
 ) -> None:
     s, h = scene(), hyperfocal(11.0, COC, 200.0)
-    params = PrintedDofParams(focal_mm=200.0, fnumber=11.0, focus=f"{h * (1 + step):.6f}mm")
+    params = PrintedDofParams(
+        focal_mm=200.0, fnumber=11.0, focus=f"{h * (1 + step):.6f}mm"
+    )
     at = circle_of_confusion(params, facts(s), s)
     sharp = sharp_range(at, 200.0, COC)
     assert (sharp[0] < 0) == all_behind and np.isfinite(sharp).all()
@@ -266,7 +272,9 @@ def test_all_virtual_scene_takes_every_distance_from_the_model() -> None:
     h, w = at.layers[Layer.COVERAGE].shape
     depth = np.broadcast_to(np.linspace(0.3, 3.0, w, dtype=np.float32), (h, w)).copy()
     image = at.layers[Layer.IMAGE]
-    full = with_layers(at, coverage=np.ones((h, w), np.float32), depth=depth, virtual=image)
+    full = with_layers(
+        at, coverage=np.ones((h, w), np.float32), depth=depth, virtual=image
+    )
     virtual = Shot(
         at.scene,
         at.facts.with_(depth_range_m=(0.3, 3.0), model_box=at.layers.rect),

@@ -43,7 +43,10 @@ def seen(
     f: FrameFacts, params: PrintedWatercolorParams | None = None, **more: np.ndarray
 ) -> tuple[PrintedWatercolor, View]:
     """A grey frame of SCENE; more : layers by name."""
-    rect, stage = SCENE.camera.rect, PrintedWatercolor(params or PrintedWatercolorParams())
+    rect, stage = (
+        SCENE.camera.rect,
+        PrintedWatercolor(params or PrintedWatercolorParams()),
+    )
     made: dict[Layer, Any] = {Layer.IMAGE: np.full((120, 160, 3), 0.5, np.float32)}
     layers: Layers = layers_of(
         rect, {**made, **{Layer(k): v.astype(np.float32) for k, v in more.items()}}
@@ -87,7 +90,9 @@ def test_integer_labels_keep_cells_apart_that_colour_merges() -> None:
     sites = eq1_sites(FRAME, 8, 10, 1)
     found = label(sites, FRAME).first
     assert len(np.unique(found)) == len(sites)
-    _, count = named_by_colour(np.full((150, 200, 3), 0.5, np.float32), found, sites, FRAME)
+    _, count = named_by_colour(
+        np.full((150, 200, 3), 0.5, np.float32), found, sites, FRAME
+    )
     assert count == 1
 
 
@@ -98,11 +103,14 @@ def test_there_are_m_x_n_cells_or_as_many_as_their_size_gives() -> None:
         ({"cell_px": 40}, 12),
         ({"m": 5, "cell_px": 40}, 20),
     ):
-        params = PrintedWatercolorParams(toon=False, near_m=0, line_threshold=2, **of_cells)
+        params = PrintedWatercolorParams(
+            toon=False, near_m=0, line_threshold=2, **of_cells
+        )
         assert (
             len(
                 np.unique(
-                    painted(FrameFacts(0, 0.0), params, image=image).reshape(-1, 3), axis=0
+                    painted(FrameFacts(0, 0.0), params, image=image).reshape(-1, 3),
+                    axis=0,
                 )
             )
             == count

@@ -41,7 +41,9 @@ def test_a_constant_picture_is_the_same_from_everywhere_and_at_every_level() -> 
     levels = step3_mipmap(step3_environment(np.full((9, 12, 3), 0.25), 16))
     d = face_directions(4).reshape(-1, 3)
     for half_deg in (0.1, 7.0, 30.0, 80.0):
-        np.testing.assert_allclose(step4_environment(levels, d, half_deg), 0.25, atol=2e-5)
+        np.testing.assert_allclose(
+            step4_environment(levels, d, half_deg), 0.25, atol=2e-5
+        )
 
 
 def test_thirds_of_the_picture_lie_where_the_paper_puts_them() -> None:
@@ -63,7 +65,8 @@ def test_thirds_of_the_picture_lie_where_the_paper_puts_them() -> None:
         levels, np.array([[0.5, 0, 1.0], [0.5, 0, -1.0], [-0.5, 0, -1.0]]), 0.5
     )
     assert (
-        aside[0, 2] == pytest.approx(aside[1, 2]) and aside[1, 2] > 0.7 > 0.3 > aside[2, 2]
+        aside[0, 2] == pytest.approx(aside[1, 2])
+        and aside[1, 2] > 0.7 > 0.3 > aside[2, 2]
     ), "mirrored behind"
 
 

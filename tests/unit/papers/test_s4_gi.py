@@ -82,7 +82,9 @@ def test_a_black_object_hardly_darkens_the_plane() -> None:
     s = on_plane(box(BLACK), LAMP, CAMERA)
     printed, corrected = run_gi(s, params=small()), run_gi(s, "draft")
     around = near(s, from_above(), printed)
-    assert printed[Layer.SHADOW][around].mean() > 0.975 and printed[Layer.SHADOW].max() <= 1
+    assert (
+        printed[Layer.SHADOW][around].mean() > 0.975 and printed[Layer.SHADOW].max() <= 1
+    )
     assert corrected[Layer.SHADOW][around].mean() < 0.93
 
 
@@ -189,7 +191,10 @@ def test_the_environment_counts_by_what_a_cone_lets_through() -> None:
     n = 16
     ceiling = np.array([(x, y, 12) for y in range(n) for x in range(n)])
     made = octree_of(
-        Volume(n, (0.0, 0.0, 0.0), 1.0), ceiling, np.zeros((n * n, 3)), np.full(n * n, 0.5)
+        Volume(n, (0.0, 0.0, 0.0), 1.0),
+        ceiling,
+        np.zeros((n * n, 3)),
+        np.full(n * n, 0.5),
     )
     V = np.zeros((len(made.tree.eta), 3), np.float32)
     at = Surfels(

@@ -92,7 +92,9 @@ def test_nothing_empty_is_stored_and_everything_else_is_found() -> None:
         assert (node >= 0) == ((x, y, z) in stored)
         if node >= 0:
             assert made.codes[node - lowest] == morton(np.array([[x, y, z]]))[0]
-            assert made.leaf_of(np.array([[x + 0.5, y + 0.5, z + 0.5]]))[0] == node - lowest
+            assert (
+                made.leaf_of(np.array([[x + 0.5, y + 0.5, z + 0.5]]))[0] == node - lowest
+            )
     assert (made.leaf_of(np.array([[-0.5, 3, 3], [3, 3, N + 0.5]])) == -1).all()
 
 
@@ -128,7 +130,9 @@ def test_voxels_that_face_away_are_not_met() -> None:
     floor = np.array([(x, y, 7) for y in range(N) for x in range(N)])
     up = filled(floor, 1.0, (0.0, 0.0, 1.0))
     V = up.filtered(np.ones((len(floor), 3)))
-    away = traced(up, V, [[t, 0, 1.0] for t in (0.5, 1.0, 1.5)], [8, 8, 7.5], [0.6, 0, 0.8])
+    away = traced(
+        up, V, [[t, 0, 1.0] for t in (0.5, 1.0, 1.5)], [8, 8, 7.5], [0.6, 0, 0.8]
+    )
     onto = traced(
         up, V, [[t, 0, 1.0] for t in (0.5, 1.0, 1.5)], [8, 8, 8.5], [0.6, 0, -0.8]
     )

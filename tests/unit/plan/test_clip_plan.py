@@ -20,7 +20,9 @@ PRICES = Prices(
     {f"{n}/{le}": Price({"frames": 0.01 * 4**k, "object_mpx": 1.0}, 0.1, 5) for n in NAMES
      for k, le in enumerate(STAGES[n].levels)}, 1, "a test", True,
 )  # fmt: skip
-ERRORS = Errors({n: {"draft": 2.0, "standard": 0.6, "high": 0.2} for n in NAMES}, "a test")
+ERRORS = Errors(
+    {n: {"draft": 2.0, "standard": 0.6, "high": 0.2} for n in NAMES}, "a test"
+)
 
 
 def clip() -> list:
@@ -107,7 +109,9 @@ def test_light_is_new_once() -> None:
     gone = replace(f, camera_from_world=None)
     found = list(new_terms(stages, [gone, lit, lit, dimmer, lit]))
     soft = replace(f, light=Light(lights=()))
-    assert list(new_terms(stages, [soft])) == [{"new_lights"}], "no lamp, no shadow to make"
+    assert list(new_terms(stages, [soft])) == [{"new_lights"}], (
+        "no lamp, no shadow to make"
+    )
     assert found == [
         frozenset(),
         {"new_directions", "new_lights"},

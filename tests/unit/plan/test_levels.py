@@ -157,7 +157,9 @@ def test_of_many_clips_the_upper_end_counts_and_of_one_its_own(tmp_path) -> None
     )
 
 
-def test_the_shipped_errors_name_real_levels_and_a_wrong_file_is_refused(tmp_path) -> None:
+def test_the_shipped_errors_name_real_levels_and_a_wrong_file_is_refused(
+    tmp_path,
+) -> None:
     from arfx.errors import InputError
     from arfx.stages import STAGES
 

@@ -64,7 +64,9 @@ def test_the_composite_covers_what_changes_and_no_more() -> None:
     p = plan(pipeline())
     assert [s.stage for s in p.steps] == ["raster", "plain", "composite"]
     assert (
-        p.changed == BOX and p.rect == BOX and p.skipped[0].reason == "circle 0.4 px < 1 px"
+        p.changed == BOX
+        and p.rect == BOX
+        and p.skipped[0].reason == "circle 0.4 px < 1 px"
     )
 
 

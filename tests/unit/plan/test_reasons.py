@@ -44,7 +44,10 @@ def below(s: Scene) -> FrameFacts:
 
 
 def lit(
-    f: FrameFacts, ambient: float, *lamps: tuple[float, float, float], strength: float = 0.6
+    f: FrameFacts,
+    ambient: float,
+    *lamps: tuple[float, float, float],
+    strength: float = 0.6,
 ) -> FrameFacts:
     lights = tuple(DirectionalLight(d, (strength,) * 3, 4.0) for d in lamps)
     return f.with_(light=Light(ambient_rgb=(ambient,) * 3, lights=lights))
@@ -138,5 +141,7 @@ def test_no_reason_in_the_code_is_missing_here() -> None:
         written += re.findall(r'(?:Demand\(|return )\s*EMPTY,\s*f?"([^"]+)"', text)
     assert len(written) >= 10
     for text in written:
-        parts = [re.sub(r"\d+", "#", p.strip(" ;:%")) for p in re.split(r"\{[^}]*\}", text)]
+        parts = [
+            re.sub(r"\d+", "#", p.strip(" ;:%")) for p in re.split(r"\{[^}]*\}", text)
+        ]
         assert all(p in known for p in parts if p), text

@@ -108,10 +108,13 @@ def test_the_tool_writes_what_a_plan_reads_and_marks_what_is_no_step(
     )
     assert [
         level
-        for level, _ in faults({**clip, "standard": {"error": 0.9, "seconds": 0.9}}, levels)
+        for level, _ in faults(
+            {**clip, "standard": {"error": 0.9, "seconds": 0.9}}, levels
+        )
     ] == ["standard", "high"]
     other = {
-        le: {"error": 3 * of["error"], "seconds": of["seconds"]} for le, of in clip.items()
+        le: {"error": 3 * of["error"], "seconds": of["seconds"]}
+        for le, of in clip.items()
     }
     made = document({"a": {"dof": clip}, "b": {"dof": other}}, {"dof": levels}, 2)
     (tmp_path / "made.json").write_text(json.dumps(made))

@@ -30,7 +30,9 @@ def items(monkeypatch: pytest.MonkeyPatch) -> list[Item]:
     module = ModuleType("rows_of_a_paper")
     module.rows = rows  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, module.__name__, module)
-    monkeypatch.setitem(PAPERS, "s1", Paper("Some <One> 2009", "A title", module.__name__))
+    monkeypatch.setitem(
+        PAPERS, "s1", Paper("Some <One> 2009", "A title", module.__name__)
+    )
     return found
 
 
@@ -49,7 +51,12 @@ def test_a_page_holds_rows_pictures_and_error_maps(
         Figure(
             "figure 1",
             "lights",
-            {"before": GREY, "printed": GREY, "corrected": GREY + 8, "reference": GREY + 9},
+            {
+                "before": GREY,
+                "printed": GREY,
+                "corrected": GREY + 8,
+                "reference": GREY + 9,
+            },
         ),
         Bars(
             "table 1, apple",

@@ -35,7 +35,8 @@ def test_shares_of_labels_and_outlines_are_counted() -> None:
     assert measure.farthest(sites, labels) <= np.hypot(8, 8)
     labels[:24] = labels.max()
     assert (
-        measure.nearest_share(sites, labels) < 0.6 and measure.farthest(sites, labels) > 30
+        measure.nearest_share(sites, labels) < 0.6
+        and measure.farthest(sites, labels) > 30
     )
     thing = np.zeros((20, 20), bool)
     thing[5:15, 5:15] = True

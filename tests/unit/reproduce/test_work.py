@@ -68,4 +68,7 @@ def test_what_runs_apart_has_a_process_of_its_own(made: tuple[Work, Clip]) -> No
 
 
 def test_the_scale_of_work(tmp_path: Path) -> None:
-    assert (Work(tmp_path).scaled(9, 1), Work(tmp_path, short=True).scaled(9, 1)) == (9, 1)
+    assert (Work(tmp_path).scaled(9, 1), Work(tmp_path, short=True).scaled(9, 1)) == (
+        9,
+        1,
+    )

@@ -41,7 +41,11 @@ def test_a_folder_stands_for_its_videos(tmp_path: Path) -> None:
         "e.mp4/f.mp4",
     )
     assert [p.name for p in clips_at(str(tmp_path))] == ["a.mp4", "b.MOV", "c.mkv"]
-    assert [p.name for p in clips_at(f"{tmp_path}/**/*.mp4")] == ["a.mp4", "f.mp4", "d.mp4"]
+    assert [p.name for p in clips_at(f"{tmp_path}/**/*.mp4")] == [
+        "a.mp4",
+        "f.mp4",
+        "d.mp4",
+    ]
     touch(tmp_path, "one[1].mp4", "one1.mp4")
     assert clips_at(str(tmp_path / "one[1].mp4")) == [tmp_path / "one[1].mp4"], (
         "a name that is there is no pattern"
@@ -104,5 +108,7 @@ def test_a_folder_that_links_to_itself_gives_each_clip_once(tmp_path: Path) -> N
     (tmp_path / "a.mp4").touch()
     (tmp_path / "loop").symlink_to(".")
     assert (
-        clips_at(f"{tmp_path}/**/*.mp4") == [tmp_path / "a.mp4"] == clips_at(str(tmp_path))
+        clips_at(f"{tmp_path}/**/*.mp4")
+        == [tmp_path / "a.mp4"]
+        == clips_at(str(tmp_path))
     )

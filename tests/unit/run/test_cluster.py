@@ -67,7 +67,9 @@ def test_what_is_no_cluster(text: str) -> None:
         ("cores = 1\nprocesses = 0", "processes is 0"), ("cores = [", "not valid TOML"),
     ],
 )  # fmt: skip
-def test_settings_of_slurm_that_are_wrong(tmp_path: Path, text: str, message: str) -> None:
+def test_settings_of_slurm_that_are_wrong(
+    tmp_path: Path, text: str, message: str
+) -> None:
     (tmp_path / "slurm.toml").write_text(text)
     with pytest.raises(ConfigError, match=message):
         ClusterSpec.parse(f"slurm:{tmp_path / 'slurm.toml'}")
@@ -101,7 +103,12 @@ def test_slurm_that_is_not_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 def test_paths_are_mapped() -> None:
     maps = [
         PathMap.parse(text)
-        for text in ("/a=/x", "/a/b=s3://bucket/b", "/a/b=/y/", "/a/b/one file=http://h/f")
+        for text in (
+            "/a=/x",
+            "/a/b=s3://bucket/b",
+            "/a/b=/y/",
+            "/a/b/one file=http://h/f",
+        )
     ]
     assert places(Path("/a/b/c/d.mp4"), maps) == (
         "/y/c/d.mp4",

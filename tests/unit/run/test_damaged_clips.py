@@ -64,7 +64,8 @@ def damaged(path: Path, suffix: str, codec: str, how: str = "flip") -> Path:
     data[middle] = (
         0
         if how == "zero"
-        else data[middle] ^ np.random.default_rng(2).integers(1, 256, 1500).astype(np.uint8)
+        else data[middle]
+        ^ np.random.default_rng(2).integers(1, 256, 1500).astype(np.uint8)
     )
     data.tofile(path / f"damaged{suffix}")
     return path / f"damaged{suffix}"
@@ -104,7 +105,8 @@ def lost(stream: Path, folder: Path) -> Path:
     """The transport stream without one packet of its video."""
     data = stream.read_bytes()
     number = {
-        int.from_bytes(data[k + 1 : k + 3]) & 0x1FFF: k for k in range(0, len(data), PACKET)
+        int.from_bytes(data[k + 1 : k + 3]) & 0x1FFF: k
+        for k in range(0, len(data), PACKET)
     }
     video = next(pid for pid in sorted(number) if pid >= 0x100)
     at = next(k for k in range(len(data) // PACKET // 2 * PACKET, len(data), PACKET)
@@ -139,7 +141,8 @@ def test_a_lost_packet_is_told_and_both_passes_give_the_same_frames(
     missing = health["frames missing in the source"]["value"]
     assert len(packets(tmp_path / "out.mkv", "video")) == N - missing and missing <= 12
     assert (
-        health["source file"]["value"] == "damaged" and report["input"]["truncated"] is None
+        health["source file"]["value"] == "damaged"
+        and report["input"]["truncated"] is None
     )
     assert sum(count for _, count in report["input"]["missing"]) == missing
     told = [s for s in said if "missing" in s or "guess" in s]
@@ -190,7 +193,9 @@ def test_a_clip_that_ends_in_damage_is_still_said_to_be_cut(
     tmp_path: Path, stream: Path
 ) -> None:
     data = stream.read_bytes()
-    (tmp_path / "cut.ts").write_bytes(data[: len(data) * 6 // 10 // PACKET * PACKET + 100])
+    (tmp_path / "cut.ts").write_bytes(
+        data[: len(data) * 6 // 10 // PACKET * PACKET + 100]
+    )
     found = analysed(tmp_path / "cut.ts", tmp_path / "job")
     assert found.careful and 40 < len(found.pts) < 70 and found.missing == []
     clip = make_clip(tmp_path / "a.mp4", [512 * i for i in range(30)], options={"g": "1"})

@@ -23,7 +23,9 @@ def quiet(phase: str, done: int, total: int | None) -> None:
 def test_facts_say_which_map_and_what_is_in_it(tmp_path: Path) -> None:
     s = scene()
     for k, metres in enumerate((1.0, 2.0, 0.0)):
-        cv2.imwrite(str(tmp_path / f"{k}.png"), np.full((60, 80), metres * 1000, np.uint16))
+        cv2.imwrite(
+            str(tmp_path / f"{k}.png"), np.full((60, 80), metres * 1000, np.uint16)
+        )
     maps = open_depth(tmp_path)
     frames = [facts(s, index=k) for k in range(4)]
     clip = Analysis(tuple(frames), s.world_from_marker)
@@ -49,7 +51,10 @@ def test_depth_that_holds_nothing_is_an_error(tmp_path: Path) -> None:
     s = scene()
     cv2.imwrite(str(tmp_path / "none.png"), np.zeros((60, 80), np.uint16))
     clip = Analysis((facts(s),), s.world_from_marker)
-    job, maps = AnalysisJob((), s.camera, progress=quiet), open_depth(tmp_path / "none.png")
+    job, maps = (
+        AnalysisJob((), s.camera, progress=quiet),
+        open_depth(tmp_path / "none.png"),
+    )
     with pytest.raises(InputError, match="no valid pixel"):
         with_depth(clip, job, maps, [0])
     with pytest.raises(InputError, match="near the time of any frame"):

@@ -93,7 +93,9 @@ def test_the_same_processes_work_again_and_end_with_the_job(tmp_path: Path) -> N
     assert dict(os.environ) == before
     if sys.platform == "linux":
         (server,) = {r["parent"] for r in (*results, *again)}
-        assert psutil.Process(server).num_threads() == 1, "a thread does not survive a fork"
+        assert psutil.Process(server).num_threads() == 1, (
+            "a thread does not survive a fork"
+        )
 
 
 def test_nothing_but_with_keeps_processes(tmp_path: Path) -> None:
@@ -105,7 +107,9 @@ def test_nothing_but_with_keeps_processes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("last", "message"), [(1, "a stage failed"), (2, "a worker process was killed")]
 )
-def test_an_error_in_one_process_stops_all(tmp_path: Path, last: int, message: str) -> None:
+def test_an_error_in_one_process_stops_all(
+    tmp_path: Path, last: int, message: str
+) -> None:
     given = [(str(tmp_path), "key", k, last, "target") for k in range(2)]
     with Processes() as processes, pytest.raises(RenderError, match=message) as raised:
         list(processes.run(given, 2, lambda _: None, fail))

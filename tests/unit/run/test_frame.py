@@ -157,7 +157,9 @@ def test_object_and_shadow_are_written_in_linear_light(
     coded = [picture.format.transfer.encode(x) for x in (after, expected)]
     assert np.abs(coded[0] - coded[1])[2:-2, 2:-2].max() < 2.5 * step
     for a, b in zip(samples(out), samples(picture), strict=True):
-        assert np.array_equal(a[82:], b[82:]) and np.abs(a - b).max() > 10 * (len(a) > 200)
+        assert np.array_equal(a[82:], b[82:]) and np.abs(a - b).max() > 10 * (
+            len(a) > 200
+        )
 
 
 def test_a_plate_is_converted_once_in_bands() -> None:
@@ -207,7 +209,9 @@ def test_composite_leaves_bare_pixels_bit_identical() -> None:
         {
             Layer.PLATE: plate,
             Layer.IMAGE: plate,
-            **{n: neutral(n, rect) for n in (Layer.VIRTUAL, Layer.COVERAGE, Layer.SHADOW)},
+            **{
+                n: neutral(n, rect) for n in (Layer.VIRTUAL, Layer.COVERAGE, Layer.SHADOW)
+            },
         },
     )
     out = ReadyStage.of(Composite(), SCENE, LEVEL).run(layers, FACTS)[Layer.IMAGE]

@@ -64,9 +64,9 @@ def test_a_wpilib_layout_has_z_out_and_is_turned_like_opencv(tmp_path: Path) -> 
         json.dumps({"tags": [{"ID": 3, "pose": pose}, {"ID": 4, "pose": pose}]})
     )
     poses = marker_map(job(tmp_path, path))  # type: ignore[arg-type]
-    assert poses is not None and np.linalg.det(poses["36h11:3"].rotation) == pytest.approx(
-        1
-    )
+    assert poses is not None and np.linalg.det(
+        poses["36h11:3"].rotation
+    ) == pytest.approx(1)
     np.testing.assert_allclose(
         poses["36h11:3"].apply(np.eye(3)), [[1, 1, 3], [1, 2, 2], [2, 2, 3]], atol=1e-12
     )
@@ -134,7 +134,9 @@ def test_the_middle_of_the_base_stands_on_the_marker_whichever_axis_is_up(
         and world[3, 2] == pytest.approx(0.08)
         and np.linalg.det(m[:3, :3]) > 0
     )
-    np.testing.assert_allclose((world.min(0) + world.max(0))[:2] / 2, [0.01, 0], atol=1e-12)
+    np.testing.assert_allclose(
+        (world.min(0) + world.max(0))[:2] / 2, [0.01, 0], atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("key", ["smoothing", "max_gap_s"])
@@ -231,5 +233,7 @@ def test_high_is_said_to_be_standard_where_no_effect_has_it(
     stages: list[str], notices: int
 ) -> None:
     pipeline = {"stages": stages, "quality": "high"}
-    config = load(None, {"input": {"clip": "clip.mp4"}, "pipeline": pipeline}, parameters())
+    config = load(
+        None, {"input": {"clip": "clip.mp4"}, "pipeline": pipeline}, parameters()
+    )
     assert len(quality_notices(config)) == notices

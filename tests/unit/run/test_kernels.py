@@ -91,7 +91,9 @@ def test_a_kernel_that_is_not_there_ends_nothing() -> None:
     missing = [Kernel("arfx.no_such_module", "f", "(int64,)", 9.0)] * 2
     kernels._compile(missing, lambda: told.append(1), alone=True)
     assert len(told) == 2
-    assert CPUContext.get_executable.__module__ == "numba.core.cpu"  # numba stays as it is
+    assert (
+        CPUContext.get_executable.__module__ == "numba.core.cpu"
+    )  # numba stays as it is
 
 
 def test_where_nothing_can_be_kept_one_notice_says_so(
@@ -130,9 +132,9 @@ def test_the_list_fits_the_code() -> None:
     )
     for kernel in listed_kernels():
         function = kernel.function
-        assert len(kernels._types(kernel.types)) == function.py_func.__code__.co_argcount, (
-            kernel
-        )
+        assert (
+            len(kernels._types(kernel.types)) == function.py_func.__code__.co_argcount
+        ), kernel
         assert kernel.is_cached in (True, False), kernel
 
 

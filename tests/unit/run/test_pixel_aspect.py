@@ -92,4 +92,6 @@ def test_a_calibration_of_another_shape_is_refused_still(tmp_path: Path) -> None
 
 def test_an_impossible_aspect_is_said_and_not_used(tmp_path: Path) -> None:
     info, _ = squeezed(tmp_path / "a.mp4", 288, Fraction(200, 1))
-    assert info.pixel_aspect == 1 and any("not plausible" in text for text in info.notices)
+    assert info.pixel_aspect == 1 and any(
+        "not plausible" in text for text in info.notices
+    )

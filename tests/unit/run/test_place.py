@@ -31,7 +31,8 @@ OBJ = (
     "mtllib model.mtl\nusemtl wood\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 0\nvt 1 0\nvt"
     " 0 1\n"
     + "".join(
-        f"f {a}/1 {b}/2 {c}/3\n" for a, b, c in ((1, 3, 2), (1, 2, 4), (2, 3, 4), (3, 1, 4))
+        f"f {a}/1 {b}/2 {c}/3\n"
+        for a, b, c in ((1, 3, 2), (1, 2, 4), (2, 3, 4), (3, 1, 4))
     )
 )
 
@@ -59,7 +60,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     cv2.imwrite(str(d / "wood.png"), np.full((4, 4, 3), 90, np.uint8))
     (d / "depth").mkdir()
     for n in range(2):
-        cv2.imwrite(str(d / "depth" / f"{n:06d}.png"), np.full((240, 320), 400, np.uint16))
+        cv2.imwrite(
+            str(d / "depth" / f"{n:06d}.png"), np.full((240, 320), 400, np.uint16)
+        )
     (d / "job.toml").write_text(f"""
 input = {{clip = "clip.mp4", camera = "camera.yaml", marker_map = "map.toml", poses = "poses.txt", depth = "depth"}}
 marker = [{{spec = "{MARKER}"}}]
@@ -198,7 +201,9 @@ def test_places_that_cannot_be_a_jobs(
     read: Path, tmp_path: Path, out: str, job: str | None, report: str | None, says: str
 ) -> None:
     (tmp_path / "job" / "chunks").mkdir(parents=True)
-    at = places(read, tmp_path / out, job and tmp_path / job, report and tmp_path / report)  # type: ignore[arg-type]
+    at = places(
+        read, tmp_path / out, job and tmp_path / job, report and tmp_path / report
+    )  # type: ignore[arg-type]
     refused(at, tmp_path, says)
 
 
@@ -254,7 +259,9 @@ def test_links_in_a_jobs_folder_are_not_followed(read: Path, tmp_path: Path) -> 
     refused(places(read, tmp_path / "out.mp4", job=job), tmp_path, "not a job folder")
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes with names")
+@pytest.mark.skipif(
+    not hasattr(os, "mkfifo"), reason="this system has no pipes with names"
+)
 def test_a_pipe_in_place_of_the_job_file_is_not_waited_for(tmp_path: Path) -> None:
     job = JobFolder(tmp_path)
     os.mkfifo(job.job)
@@ -308,7 +315,10 @@ def test_a_job_that_came_to_nothing_leaves_nothing(
 ) -> None:
     (tmp_path / "empty").mkdir()
     at = places(
-        read, tmp_path / "out.mp4", tmp_path / "empty" if named else None, tmp_path / "rep"
+        read,
+        tmp_path / "out.mp4",
+        tmp_path / "empty" if named else None,
+        tmp_path / "rep",
     )
     with pytest.raises(type(error)), at.held(resume=False):
         (at.folder.path / "job.toml").write_text(MARK)
@@ -347,7 +357,9 @@ def test_two_jobs_never_share_a_place(read: Path, tmp_path: Path) -> None:
     """One output, one job folder or one report for two of them: the second is told so, and
     touches nothing.
     """
-    out, other, job, report = (tmp_path / n for n in ("out.mp4", "other.mp4", "job", "rep"))
+    out, other, job, report = (
+        tmp_path / n for n in ("out.mp4", "other.mp4", "job", "rep")
+    )
     with places(read, out, job, report).held(resume=False):
         JobFolder(job).job.write_text(MARK)
         for second in (

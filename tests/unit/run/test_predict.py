@@ -64,9 +64,9 @@ def test_work_that_lies_in_one_chunk_takes_as_long_as_alone() -> None:
         == pytest.approx(together.phases["stages"].seconds)
         == pytest.approx(3.0)
     )
-    assert spread.share == pytest.approx(0.5, abs=0.05) and together.share == pytest.approx(
-        3.6 / 5.4
-    )
+    assert spread.share == pytest.approx(
+        0.5, abs=0.05
+    ) and together.share == pytest.approx(3.6 / 5.4)
     assert together.wall.seconds > spread.wall.seconds + 0.5, (
         "while one thread renders, the other has nothing left to do"
     )
@@ -114,10 +114,12 @@ def test_what_planning_takes_is_in_the_prediction(monkeypatch) -> None:
     clock = [7.0]
     monkeypatch.setattr(predict_module, "plan_clip", slow)
     monkeypatch.setattr(predict_module.time, "perf_counter", lambda: clock[0])
-    made = choose(JobConfig(), {}, [], None, LevelPolicy(), Errors(), PRICES, SIZE, print)[
-        1
-    ]  # type: ignore[arg-type]
-    assert made["predicted"]["phases"]["before"]["s"] == pytest.approx(SIZE.before_s + 0.5)
+    made = choose(
+        JobConfig(), {}, [], None, LevelPolicy(), Errors(), PRICES, SIZE, print
+    )[1]  # type: ignore[arg-type]
+    assert made["predicted"]["phases"]["before"]["s"] == pytest.approx(
+        SIZE.before_s + 0.5
+    )
 
 
 def test_a_lone_worker_encodes_while_it_renders() -> None:

@@ -67,7 +67,9 @@ def test_planned_is_forced_for_a_part_of_the_work(material: Path, tmp_path: Path
         pixels
     )  # stage-pixels: seconds are not told apart on a busy machine
     dof = next(s for s in reports["planned"]["stages"] if s["name"] == "dof")
-    assert 0 < dof["frames_run"] < SEEN and any("blur circle" in r for r in dof["reasons"])
+    assert 0 < dof["frames_run"] < SEEN and any(
+        "blur circle" in r for r in dof["reasons"]
+    )
     assert sum(dof["reasons"].values()) == FRAMES - dof["frames_run"]
     pictures = []
     for name in reports:
@@ -87,13 +89,20 @@ def test_a_small_object_in_a_large_picture_takes_a_third_of_the_time() -> None:
     facts = at.facts.with_(light=Light(ambient_rgb=(0.4, 0.4, 0.4), lights=(lamp,)))
     spent = {True: 0.0, False: 0.0}
     for focus, runs in (("object", 3), ("1m", 4)):
-        dof = STAGES["dof"](STAGES["dof"].Params(scope="virtual", fnumber=4.0, focus=focus))
+        dof = STAGES["dof"](
+            STAGES["dof"].Params(scope="virtual", fnumber=4.0, focus=focus)
+        )
         stages = {n: STAGES[n]() for n in ("raster", "lightmap", "composite")} | {
             "dof": dof
         }
         levels = {n: level_named(s.levels, "standard") for n, s in stages.items()}
         whole = plan_frame(
-            list(stages.values()), levels, facts, at.scene, at.scene.camera.rect, skip=False
+            list(stages.values()),
+            levels,
+            facts,
+            at.scene,
+            at.scene.camera.rect,
+            skip=False,
         )
         ready = ready_stages(whole, stages, at.scene)
         pictures, times = {}, {True: [], False: []}
@@ -144,12 +153,15 @@ def test_a_budget_is_planned_on_its_upper_end_and_a_resumed_job_keeps_its_plan(
     )
     assert not poor.plan.levels["met"] and any("even the cheapest" in t for t in told)
     seconds = [
-        sum(s.seconds for p in plan.plan.frames for s in p.steps) for plan in (poor, first)
+        sum(s.seconds for p in plan.plan.frames for s in p.steps)
+        for plan in (poor, first)
     ]
     assert seconds[0] < seconds[1]
 
 
-def test_two_ways_to_choose_levels_are_one_too_many(material: Path, tmp_path: Path) -> None:
+def test_two_ways_to_choose_levels_are_one_too_many(
+    material: Path, tmp_path: Path
+) -> None:
     folder = JobFolder(tmp_path / "job")
     folder.open(False)
     with pytest.raises(ConfigError, match="both choose levels"):

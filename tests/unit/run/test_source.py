@@ -61,7 +61,9 @@ def test_the_next_chunk_reads_on_and_any_other_starts_anew(clip: Path) -> None:
     assert source_at(info, pts, 1) is first
     other = source_at(info, pts, 10)
     assert (
-        other is not first and (frame := other.next()) is not None and frame.pts == pts[10]
+        other is not first
+        and (frame := other.next()) is not None
+        and frame.pts == pts[10]
     )
     assert source_at(info, list(pts), 11) is not other, "another job's source was taken"
     release()

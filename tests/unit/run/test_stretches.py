@@ -214,7 +214,9 @@ def last_first(
     return threads(1)(iter([*tasks][::-1]), count, frames, progress)
 
 
-def test_each_stretch_alone_leaves_the_same_bytes(clip_of: ClipOf, tmp_path: Path) -> None:
+def test_each_stretch_alone_leaves_the_same_bytes(
+    clip_of: ClipOf, tmp_path: Path
+) -> None:
     """Every one but the first begins in an open group, of which a strict decoder misses frames."""
     clip = clip_of(open_gop)
     first, last = (
@@ -254,7 +256,9 @@ def test_borders_do_not_show_in_the_facts(
     one = analysed(clip, tmp_path / "one").analysis
     assert len([*(tmp_path / "one" / "stretches").iterdir()]) == 1
     assert (
-        [f.shot for f in parts.facts] == [f.shot for f in one.facts] == [0] * 24 + [1] * 24
+        [f.shot for f in parts.facts]
+        == [f.shot for f in one.facts]
+        == [0] * 24 + [1] * 24
     )
     for a, b in zip(one.facts, parts.facts, strict=True):
         assert (

@@ -35,7 +35,9 @@ class Shot:
     layers: Layers
 
 
-def texture(height: int, width: int, seed: int = 1, highlights: float = 0.0) -> np.ndarray:
+def texture(
+    height: int, width: int, seed: int = 1, highlights: float = 0.0
+) -> np.ndarray:
     """(h, w, 3) linear light: noise of several sizes with hard edges, as pictures have; few
     pixels of `highlights`.
     """

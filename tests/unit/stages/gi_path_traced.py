@@ -31,7 +31,9 @@ from arfx.stages.raster import Raster, RasterParams
 from tests.scenes import box_model, facts
 from tests.unit.stages.lightmap_scenes import ground_points, on_plane
 
-FOLDER = Path(__file__).parents[3] / "sample_scenes" / "0041-indirect-light" / "path-traced"
+FOLDER = (
+    Path(__file__).parents[3] / "sample_scenes" / "0041-indirect-light" / "path-traced"
+)
 NAMES = ("coloured-box", "mirror-ball", "glowing-ball", "box-in-a-corner")
 REGIONS = ("object", "contact", "plane")
 NO_GI = "no gi"
@@ -120,7 +122,9 @@ BESIDE = {"raster": "high", "lightmap": "standard", "composite": "high"}
 def kept(name: str, stage: str) -> ReadyStage:
     """A stage beside gi, with the shadow of the scene's lamp once that is made: for every run."""
     made = Raster(RasterParams(backend="rays")) if stage == "raster" else STAGES[stage]()
-    return ReadyStage.of(made, traced(name).scene, level_named(made.levels, BESIDE[stage]))
+    return ReadyStage.of(
+        made, traced(name).scene, level_named(made.levels, BESIDE[stage])
+    )
 
 
 def ours(name: str, level: str, samples: int = 64) -> tuple[np.ndarray, np.ndarray]:
@@ -137,11 +141,15 @@ def ours(name: str, level: str, samples: int = 64) -> tuple[np.ndarray, np.ndarr
     stages["composite"] = STAGES["composite"]()
     wanted = {"gi": level, **BESIDE}
     levels = {n: level_named(s.levels, wanted[n]) for n, s in stages.items()}
-    plan = plan_frame(list(stages.values()), levels, t.facts, t.scene, t.scene.camera.rect)
+    plan = plan_frame(
+        list(stages.values()), levels, t.facts, t.scene, t.scene.camera.rect
+    )
     ready = {n: replace(kept(name, n), stage=s) for n, s in stages.items() if n != "gi"}
     if gi:
         ready["gi"] = ReadyStage.of(stages["gi"], t.scene, levels["gi"])
-    made = run_frame(np.ascontiguousarray(t.plate[plan.rect.slices]), t.facts, plan, ready)
+    made = run_frame(
+        np.ascontiguousarray(t.plate[plan.rect.slices]), t.facts, plan, ready
+    )
     out = t.plate.copy()
     out[plan.changed.slices] = made.image
     coverage = made.layers.view(t.scene.camera.rect)[Layer.COVERAGE]

@@ -30,7 +30,9 @@ MATT_WHITE = Material(base_colour=(1.0, 1.0, 1.0, 1.0), specular=0.0, roughness=
 MATT_RED = Material(base_colour=(0.8, 0.04, 0.03, 1.0), specular=0.0, roughness=1.0)
 BLACK = Material(base_colour=(0.0, 0.0, 0.0, 1.0), specular=0.0, roughness=1.0)
 MIRROR = Material(base_colour=(1.0, 1.0, 1.0, 1.0), metallic=1.0, roughness=0.0)
-GLOWING = Material(base_colour=(0.0, 0.0, 0.0, 1.0), specular=0.0, emissive=(1.0, 0.5, 0.0))
+GLOWING = Material(
+    base_colour=(0.0, 0.0, 0.0, 1.0), specular=0.0, emissive=(1.0, 0.5, 0.0)
+)
 EVEN = Light((1.0, 1.0, 1.0), ())
 NIGHT = Light((0.0, 0.0, 0.0), ())
 LAMP = Light((0.4, 0.4, 0.4), (DirectionalLight((0.5, 0.5, 0.7), (0.5, 0.5, 0.5), 8.0),))

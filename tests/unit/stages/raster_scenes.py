@@ -67,9 +67,13 @@ def scene_of(parts: list[Part], lens: str = "ideal") -> Scene:
     return Scene(camera(lens), Model(tuple(parts), "z", "test"), np.eye(4))
 
 
-def in_front(distance_m: float = 1.0, tilt_deg: float = 0.0, turn_deg: float = 0.0) -> Pose:
+def in_front(
+    distance_m: float = 1.0, tilt_deg: float = 0.0, turn_deg: float = 0.0
+) -> Pose:
     """Camera that looks at the origin against world z; world x is right, y is up in the picture."""
-    r = rotation_from_euler_deg(180, 0, 0) @ rotation_from_euler_deg(tilt_deg, turn_deg, 0)
+    r = rotation_from_euler_deg(180, 0, 0) @ rotation_from_euler_deg(
+        tilt_deg, turn_deg, 0
+    )
     return Pose(r, np.array([0.0, 0.0, distance_m]))
 
 

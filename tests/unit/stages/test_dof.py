@@ -21,7 +21,14 @@ from arfx.stages.dof import Dof
 from arfx.stages.dof.params import DofParams
 from tests.contract import stage_laws as laws
 from tests.scenes import look_at
-from tests.unit.stages.dof_scenes import Shot, blurred, compose, shot, texture, with_layers
+from tests.unit.stages.dof_scenes import (
+    Shot,
+    blurred,
+    compose,
+    shot,
+    texture,
+    with_layers,
+)
 
 LEVELS = ("draft", "standard")
 
@@ -47,7 +54,9 @@ def flat(plate: np.ndarray, distance_m: float = 0.5) -> Shot:
     )
 
 
-def aperture_for(radius_px: float, distance_m: float = 0.5, focus_m: float = 2.0) -> float:
+def aperture_for(
+    radius_px: float, distance_m: float = 0.5, focus_m: float = 2.0
+) -> float:
     """aperture_px that gives this radius at the distance."""
     return 2 * radius_px / focus_m / abs(1 / distance_m - 1 / focus_m)
 
@@ -124,7 +133,9 @@ def test_a_draft_keeps_what_is_sharp_and_its_outline() -> None:
 
 
 @pytest.mark.parametrize("level", [*LEVELS, "reference"])
-def test_what_shows_through_an_object_that_fades_is_as_in_the_composite(level: str) -> None:
+def test_what_shows_through_an_object_that_fades_is_as_in_the_composite(
+    level: str,
+) -> None:
     """Its shadow too: the picture does not jump where the blur sets in."""
     at = shot("plain", 240, 180)
     at = compose(
@@ -139,7 +150,9 @@ def test_what_shows_through_an_object_that_fades_is_as_in_the_composite(level: s
 
 @pytest.mark.parametrize("level", [*LEVELS, "reference"])
 @pytest.mark.parametrize("radius", [0.7, 2.3, 3.0, 7.0, 15.0, 26.0])
-def test_a_highlight_becomes_a_disc_and_keeps_its_energy(level: str, radius: float) -> None:
+def test_a_highlight_becomes_a_disc_and_keeps_its_energy(
+    level: str, radius: float
+) -> None:
     y, x = np.indices((240, 320))
     away = np.hypot(x - 160, y - 120)
     for brightness in (1.0, 1e4):
@@ -193,7 +206,8 @@ def test_blades_shape_the_highlight() -> None:
                 < 0.03
             )
     assert (
-        np.abs(made["standard"] - made["reference"]).mean() < 0.04 * made["reference"].max()
+        np.abs(made["standard"] - made["reference"]).mean()
+        < 0.04 * made["reference"].max()
     )
 
 
@@ -329,7 +343,9 @@ def test_a_sharp_object_before_a_blurred_plane() -> None:
     other = with_layers(at, virtual=np.asarray(at.layers[Layer.VIRTUAL]) * 0.1)
     beyond = ~_deep(at.layers[Layer.COVERAGE] > 0, -10)
     assert beyond.any()
-    np.testing.assert_array_equal(blurred(other, "standard", **params)[beyond], out[beyond])
+    np.testing.assert_array_equal(
+        blurred(other, "standard", **params)[beyond], out[beyond]
+    )
 
 
 def _deep(mask: np.ndarray, by: int) -> np.ndarray:
@@ -403,9 +419,7 @@ def test_a_focus_within_the_focal_length_is_an_input_error() -> None:
     assert not demand.rect.empty  # finite, bounded by a tenth of the width
 
 
-PULL_LIMIT = (
-    0.06  # mean change of linear light from frame to frame of the pull below; measured .03
-)
+PULL_LIMIT = 0.06  # mean change of linear light from frame to frame of the pull below; measured .03
 
 
 def test_a_focus_pull_through_the_object_does_not_pop() -> None:

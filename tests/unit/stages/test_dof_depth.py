@@ -31,7 +31,9 @@ def measured(depth: np.ndarray, plate: np.ndarray) -> Shot:
     bare = with_layers(at, real_depth=depth.astype(np.float32), **layers)
     known = RealDepth.of(0, 1.0, "", tile_ranges(depth, SIZE))
     return Shot(
-        at.scene, at.facts.with_(model_box=Rect(0, 0, 0, 0), real_depth=known), bare.layers
+        at.scene,
+        at.facts.with_(model_box=Rect(0, 0, 0, 0), real_depth=known),
+        bare.layers,
     )
 
 

@@ -86,7 +86,9 @@ def test_focus_follows_what_it_is_set_to() -> None:
     def distance(focus: str, at: FrameFacts = f) -> float:
         return 1 / focus_dioptre(DofParams(focus=focus), at, s)
 
-    assert distance("marker") == distance("3") == distance("36h11:3") == pytest.approx(0.5)
+    assert (
+        distance("marker") == distance("3") == distance("36h11:3") == pytest.approx(0.5)
+    )
     assert distance("object") == pytest.approx((corners.min() + corners.max()) / 2)
     assert distance("80cm") == pytest.approx(0.8)
     rack = "marker@0s, 1m@2s"  # steady in dioptres: 2, 1.5, 1
@@ -110,7 +112,9 @@ def test_circles_are_those_of_the_lens() -> None:
         px = (
             np.minimum(mm / 24.0, 0.2) * s.camera.width
         )  # the radius is bounded by a tenth of the width
-        np.testing.assert_allclose(2 * at.radius_px(1 / distance), px, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(
+            2 * at.radius_px(1 / distance), px, rtol=1e-9, atol=1e-9
+        )
     own = circle_of_confusion(DofParams(focus="80cm"), f, s)
     focal = s.camera.fx * 36 / s.camera.width
     assert own.px_per_dioptre == pytest.approx(
@@ -143,7 +147,9 @@ def test_lens_and_focus_move_by_key_frames(made: type[Dof]) -> None:
         np.testing.assert_allclose(
             of(half, **{name: keys}), of(half, **{name: between}), atol=1e-6, err_msg=name
         )
-        assert np.abs(of(at, **{name: keys}) - of(half, **{name: keys})).max() > 5e-3, name
+        assert np.abs(of(at, **{name: keys}) - of(half, **{name: keys})).max() > 5e-3, (
+            name
+        )
     with pytest.raises(InputError, match="lens of 500 mm cannot be focused at 500 mm"):
         of(half, focal_mm="20@0s, 500@0.5s")
 
@@ -176,7 +182,9 @@ def test_a_plane_of_limited_size_ends_where_it_is_said_to() -> None:
     )
     for x, seen in ((0.095, True), (-0.095, True), (0.107, False), (-0.107, False)):
         for point in ([x, 0, 0], [0, x, 0]):
-            u, v = np.rint(s.camera.project(pose.apply(np.array(point, float)))).astype(int)
+            u, v = np.rint(s.camera.project(pose.apply(np.array(point, float)))).astype(
+                int
+            )
             if 0 <= u < s.camera.width and 0 <= v < s.camera.height:
                 assert inside[v, u] == seen, point
 

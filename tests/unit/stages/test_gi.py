@@ -184,7 +184,8 @@ def test_camera_inside_and_an_object_that_fills_the_picture(level: str) -> None:
     for pose in (inside, Pose(from_above(10).rotation, np.array([0, 0, 0.2]))):
         made = run_gi(s, level, pose)
         assert (
-            np.isfinite(made[Layer.VIRTUAL]).all() and np.isfinite(made[Layer.SHADOW]).all()
+            np.isfinite(made[Layer.VIRTUAL]).all()
+            and np.isfinite(made[Layer.SHADOW]).all()
         )
 
 
@@ -254,7 +255,9 @@ def test_degenerate_parts() -> None:
         np.tile([0, 0, 1.0], (3, 1)),
     )
     made = run_gi(on_plane(Model((p, sliver), up="z"), LAMP, CAMERA))
-    assert np.isfinite(made[Layer.VIRTUAL]).all() and np.isfinite(made[Layer.SHADOW]).all()
+    assert (
+        np.isfinite(made[Layer.VIRTUAL]).all() and np.isfinite(made[Layer.SHADOW]).all()
+    )
 
 
 def test_environment_of_the_facts_is_seen_from_the_right_side() -> None:
@@ -307,7 +310,9 @@ def test_light_that_grows_and_turns_blue_is_followed_without_steps(level: str) -
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_surroundings_that_turn_into_others_are_followed_without_steps(level: str) -> None:
+def test_surroundings_that_turn_into_others_are_followed_without_steps(
+    level: str,
+) -> None:
     halves = {}
     for name, face in (("from the right", 0), ("from the left", 1)):
         halves[name] = np.ones((6, 8, 8, 4), np.float16)
@@ -318,7 +323,9 @@ def test_surroundings_that_turn_into_others_are_followed_without_steps(level: st
     middle, seen = CAMERA.rect.width // 2, []
     for share in np.linspace(0, 1, 21):
         around = SeenEnvironment(tuple(halves), float(share))
-        out = ready.run(layers, f.with_(light=EVEN, seen_environment=around))[Layer.VIRTUAL]
+        out = ready.run(layers, f.with_(light=EVEN, seen_environment=around))[
+            Layer.VIRTUAL
+        ]
         assert isinstance(out, Pixels)
         seen.append(out.array[:, :middle].sum() - out.array[:, middle:].sum())
     steps = np.diff(seen)
@@ -359,8 +366,12 @@ def test_a_ball_in_an_even_white_room_shows_its_light_once(
         params=params,
     )
     stages = make_stages(config)  # type: ignore[arg-type]
-    levels = {name: level_named(stage.levels, "standard") for name, stage in stages.items()}
-    plan = plan_frame(list(stages.values()), levels, facts(s, from_above()), s, CAMERA.rect)
+    levels = {
+        name: level_named(stage.levels, "standard") for name, stage in stages.items()
+    }
+    plan = plan_frame(
+        list(stages.values()), levels, facts(s, from_above()), s, CAMERA.rect
+    )
     plate = plain_plate(rgb=(1, 1, 1))[plan.rect.slices]
     layers = run_frame(
         plate, facts(s, from_above()), plan, ready_stages(plan, stages, s)
@@ -379,7 +390,8 @@ def test_settings_are_checked_and_the_demand_tells_why() -> None:
     f = facts(s, from_above())
     assert "half a grey level within" in Gi().demand(f, s, CAMERA.rect).reason
     below = f.with_(
-        camera_from_world=Pose(np.eye(3), np.array([0, 0, 0.5])), model_box=Rect(0, 0, 0, 0)
+        camera_from_world=Pose(np.eye(3), np.array([0, 0, 0.5])),
+        model_box=Rect(0, 0, 0, 0),
     )
     assert "behind" in Gi().demand(below, s, CAMERA.rect).reason
     away = f.with_(light=NIGHT)

@@ -33,7 +33,10 @@ def test_levels_agree_with_the_reference_under_uneven_surroundings(level: str) -
         0.1 + 1.9 * np.clip(d[..., 2:], 0, 1) ** 2 + 1.5 * np.clip(d[..., :1], 0, 1)
     ) * np.ones(3)
     s = on_plane(ball(MATT_WHITE), Light((0.8, 0.8, 0.8), ()), CAMERA)
-    given = {"plate": plain_plate(rgb=(0.05, 0.05, 0.05)), "environment": CubeMap.of(cube)}
+    given = {
+        "plate": plain_plate(rgb=(0.05, 0.05, 0.05)),
+        "environment": CubeMap.of(cube),
+    }
     truth = run_gi(s, "reference", **given)
     core = inner(truth[Layer.COVERAGE])
     ratio = (
@@ -63,7 +66,9 @@ def test_the_split_sum_is_what_the_reference_reflects(roughness: float) -> None:
             )
             reflected = lobes.at(lobes.directions(lattice))
             a, b = (w[0] for w in gloss_weights(roughness, np.array([cosine])))
-            returned = 1 + f0 * (1 / (a + b) - 1)  # what microfacets send on to each other
+            returned = 1 + f0 * (
+                1 / (a + b) - 1
+            )  # what microfacets send on to each other
             assert (f0 * a + b) * returned == pytest.approx(
                 reflected.weight[:, 0].mean(), abs=0.015
             )
@@ -97,6 +102,6 @@ def test_what_the_picture_does_not_show_is_as_what_is_near() -> None:
         np.broadcast_to([0.5, 0.4, 0.3], (1, 64, 64, 3)),
         atol=1e-6,
     )
-    assert filled(picture, 0 * known, np.array([0.1, 0.2, 0.3]))[0, 5, 60] == pytest.approx(
-        [0.1, 0.2, 0.3]
-    )
+    assert filled(picture, 0 * known, np.array([0.1, 0.2, 0.3]))[
+        0, 5, 60
+    ] == pytest.approx([0.1, 0.2, 0.3])

@@ -68,7 +68,8 @@ def test_a_mirror_shows_no_ring_at_the_horizon() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "samples"), [("coloured-box", 24), ("mirror-ball", 8), ("box-in-a-corner", 16)]
+    ("name", "samples"),
+    [("coloured-box", 24), ("mirror-ball", 8), ("box-in-a-corner", 16)],
 )
 def test_our_reference_agrees_with_the_outside_one(name: str, samples: int) -> None:
     """Few samples: noise is part of the error.

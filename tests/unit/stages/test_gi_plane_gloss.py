@@ -167,7 +167,9 @@ def test_a_thing_before_the_plane_sends_the_object_no_light_of_the_plane(
     thing[:, : CAMERA.width // 2] = 9
     scene = on_plane(box(Material("white")), EVEN, CAMERA)
     lit = [
-        run_gi(scene, level, POSE, plate, GiParams(samples=16))[Layer.VIRTUAL].mean((0, 1))
+        run_gi(scene, level, POSE, plate, GiParams(samples=16))[Layer.VIRTUAL].mean(
+            (0, 1)
+        )
         for plate in (even, thing)
     ]
     np.testing.assert_allclose(lit[1], lit[0], rtol=0.1)
@@ -200,7 +202,9 @@ def test_a_plane_over_the_table_leaves_what_is_measured_on_the_table(
 ) -> None:
     """Depth says that pixels show the table, not what was once seen 3 cm over it."""
     scene, params = on_plane(box(BLACK), EVEN, CAMERA), GiParams(samples=16)
-    gone = RealPlane(Pose(np.eye(3), np.array([0, 0, 0.03])), (-1, -1, 1, 1), 4.0, 3.0, 900)
+    gone = RealPlane(
+        Pose(np.eye(3), np.array([0, 0, 0.03])), (-1, -1, 1, 1), 4.0, 3.0, 900
+    )
     measure(monkeypatch, POSE.apply(ground_points(scene, POSE))[..., 2])
     alone, made = (
         run_gi(s, level, POSE, params=params)[Layer.SHADOW]

@@ -60,12 +60,15 @@ def test_a_thin_bowl_is_as_bright_inside_as_a_half_ball_and_has_no_dark_dots(
     s, pose = on_plane(bowl(grey), EVEN, CAMERA), from_above(0, 0.35)
     made = run_gi(s, level, pose, plain_plate(rgb=(0, 0, 0)))
     g = ground_points(s, pose)
-    inside = inner(made[Layer.COVERAGE]) & (np.hypot(g[..., 0], g[..., 1]) < 0.9 * RADIUS_M)
+    inside = inner(made[Layer.COVERAGE]) & (
+        np.hypot(g[..., 0], g[..., 1]) < 0.9 * RADIUS_M
+    )
     light = made[Layer.VIRTUAL][inside][:, 0] / 0.5
     expected = 0.5 / (1 - 0.5 * 0.5)
     assert inside.sum() > 1000 and light.mean() == pytest.approx(expected, rel=most)
     assert (
-        light.min() > (1 - 4 * most) * expected and light.max() < (1 + 4 * most) * expected
+        light.min() > (1 - 4 * most) * expected
+        and light.max() < (1 + 4 * most) * expected
     )
 
 
@@ -75,7 +78,9 @@ def test_paths_of_the_reference_end_late_enough() -> None:
     s, pose = on_plane(bowl(bright), EVEN, CAMERA), from_above(0, 0.35)
     made = run_gi(s, "reference", pose, plain_plate(rgb=(0, 0, 0)), GiParams(samples=16))
     g = ground_points(s, pose)
-    inside = inner(made[Layer.COVERAGE]) & (np.hypot(g[..., 0], g[..., 1]) < 0.7 * RADIUS_M)
+    inside = inner(made[Layer.COVERAGE]) & (
+        np.hypot(g[..., 0], g[..., 1]) < 0.7 * RADIUS_M
+    )
     light = made[Layer.VIRTUAL][inside][:, 0].mean() / 0.9
     assert light == pytest.approx(0.5 / (1 - 0.9 * 0.5), rel=0.005)
 
@@ -91,7 +96,9 @@ def test_a_black_ball_takes_its_form_factor_from_the_plane(level: str) -> None:
         at = (made[Layer.COVERAGE] == 0) & (away > low) & (away < high)
         lost = 1 - made[Layer.SHADOW][..., 0][at]
         expected = RADIUS_M**3 / (away[at] ** 2 + RADIUS_M**2) ** 1.5
-        assert at.sum() > 20 and (lost - expected).mean() == pytest.approx(0, abs=0.012), (
+        assert at.sum() > 20 and (lost - expected).mean() == pytest.approx(
+            0, abs=0.012
+        ), (
             low,
             high,
         )

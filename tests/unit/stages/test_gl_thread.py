@@ -63,7 +63,9 @@ def test_ctrl_c_does_not_wait_for_the_work(ctrl_c: None) -> None:
     with pytest.raises(KeyboardInterrupt):
         on_gl_thread(work)
     caught.set()
-    assert on_gl_thread(threading.get_ident) == threads[0], "an interrupt left two threads"
+    assert on_gl_thread(threading.get_ident) == threads[0], (
+        "an interrupt left two threads"
+    )
 
 
 def test_what_is_discarded_anywhere_is_freed_by_the_thread() -> None:

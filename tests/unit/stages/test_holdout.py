@@ -91,7 +91,9 @@ def test_the_depths_own_noise_is_no_thing() -> None:
     noisy = left(with_thing(0.2, noise=0.02, told=0.02))
     away = np.ones(noisy.shape, bool)
     away[76:164, 106:214] = False
-    assert noisy[away].mean() == pytest.approx(DARK, abs=0.003) and noisy[away].max() < 0.6
+    assert (
+        noisy[away].mean() == pytest.approx(DARK, abs=0.003) and noisy[away].max() < 0.6
+    )
     assert noisy[CLEAR].min() > 0.95
     assert left(with_thing(0.2, noise=0.02, told=0.0))[away].mean() > DARK + 0.1, (
         "stated as exact, it is full of holes"
@@ -126,14 +128,16 @@ def test_a_part_gives_what_the_whole_gives() -> None:
 
 def test_without_depth_no_job_has_it() -> None:
     assert "holdout" not in stages_with(["lightmap", "gi"])
-    assert "holdout" in stages_with(["lightmap"], depth=True) and "holdout" in stages_with(
-        [], depth=True
-    )
+    assert "holdout" in stages_with(
+        ["lightmap"], depth=True
+    ) and "holdout" in stages_with([], depth=True)
     names = stages_with(["gi"], depth=True)
     assert names.index("lightmap") < names.index("holdout") < names.index("gi"), (
         "gi asks the depth itself"
     )
     at = shot(width=SIZE[0], height=SIZE[1])
-    assert "not known" in Holdout().demand(at.facts, at.scene, at.scene.camera.rect).reason
+    assert (
+        "not known" in Holdout().demand(at.facts, at.scene, at.scene.camera.rect).reason
+    )
     with pytest.raises(ValidationError, match="tolerance"):
         HoldoutParams(tolerance=0.0)

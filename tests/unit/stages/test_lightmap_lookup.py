@@ -164,7 +164,14 @@ def test_any_rectangle_gives_the_same(coloured: bool) -> None:
 
     def ratio(rect: Rect) -> np.ndarray:
         return shadow_ratio(
-            PlaneView(rect, grid, above), [texture], [], shares, shares[0], None, FAINT, 1.0
+            PlaneView(rect, grid, above),
+            [texture],
+            [],
+            shares,
+            shares[0],
+            None,
+            FAINT,
+            1.0,
         )
 
     whole = ratio(cam.rect)

@@ -87,7 +87,9 @@ def errors(
     """
     pick, truth = reference(name, azimuth, elevation, size)
     s = on_plane(MODELS[name](), lamp(azimuth, elevation, size))
-    made = run_stage(s, level, params=PLANE, faint=faint)[Layer.SHADOW].reshape(-1, 3)[pick]
+    made = run_stage(s, level, params=PLANE, faint=faint)[Layer.SHADOW].reshape(-1, 3)[
+        pick
+    ]
     inside = truth.min(1) < 0.98
     assert inside.sum() > 150
     e = 255 * (
@@ -214,9 +216,9 @@ def test_contact_is_dark_and_the_shadow_hangs_on_the_object(
     shadow = run_stage(s, level, pose, PLANE)[Layer.SHADOW][..., 0]
 
     def at(x: float, y: float) -> float:
-        column, row = np.round(s.camera.project(pose.apply(np.array([x, y, 0.0])))).astype(
-            int
-        )
+        column, row = np.round(
+            s.camera.project(pose.apply(np.array([x, y, 0.0])))
+        ).astype(int)
         return shadow[row, column]
 
     share = (
@@ -317,7 +319,9 @@ def test_two_lights_take_their_own_colours() -> None:
 def test_strength_scales_the_darkening() -> None:
     s = on_plane(box_model(), lamp(0, 45, 5.0))
     whole, half = (
-        run_stage(s, params=PLANE.model_copy(update=dict(shadow_strength=k)))[Layer.SHADOW]
+        run_stage(s, params=PLANE.model_copy(update=dict(shadow_strength=k)))[
+            Layer.SHADOW
+        ]
         for k in (1.0, 0.5)
     )
     np.testing.assert_allclose(1 - half, (1 - whole) / 2, atol=1e-6)
@@ -462,7 +466,9 @@ def test_silhouettes_are_the_union_of_the_triangles(seed: int) -> None:
         ]
         length = [np.linalg.norm(q - p) for p, q in ((a, b), (b, c), (c, a))]
         inside |= (np.min(side, 0) > 0) | (np.max(side, 0) < 0)
-        near |= np.min([np.abs(s) / n for s, n in zip(side, length, strict=True)], 0) < 1e-3
+        near |= (
+            np.min([np.abs(s) / n for s, n in zip(side, length, strict=True)], 0) < 1e-3
+        )
     assert 0.1 < inside.mean() < 0.95
     assert (made[~near] == inside[~near]).all()
 
@@ -561,9 +567,9 @@ def test_a_shadow_is_as_dark_as_its_object_is_opaque(level: str) -> None:
     full = shadow(Material())
     assert full.min() < 0.7
     assert np.allclose(shadow(made_of(0.25)), 1 - 0.25 * (1 - full), atol=1e-3)
-    assert (shadow(made_of(0.0)) == 1).all() and (shadow(made_of(0.3, MASK)) == 1).all(), (
-        "nothing to see casts no shadow"
-    )
+    assert (shadow(made_of(0.0)) == 1).all() and (
+        shadow(made_of(0.3, MASK)) == 1
+    ).all(), "nothing to see casts no shadow"
     assert np.array_equal(shadow(made_of(0.8, MASK)), full)
     small = shadow(made_of(0.0), Material())
     assert 0 < (1 - small).sum() < 0.6 * (1 - full).sum(), (
@@ -591,10 +597,13 @@ def test_what_is_sunk_under_the_plane_casts_nothing_on_it() -> None:
     blurred = cv2.dilate(truth.astype(np.uint8), np.ones((5, 5))) != cv2.erode(
         truth.astype(np.uint8), np.ones((5, 5))
     )
-    shadow = run_stage(half_sunk, pose=pose, params=PLANE, faint=0.0)[Layer.SHADOW][..., 0]
+    shadow = run_stage(half_sunk, pose=pose, params=PLANE, faint=0.0)[Layer.SHADOW][
+        ..., 0
+    ]
     assert (np.abs(shadow - (1 - truth))[~blurred] < 0.05).all()
     assert (
-        run_stage(whole, pose=pose, params=PLANE, faint=0.0)[Layer.SHADOW][..., 0] != shadow
+        run_stage(whole, pose=pose, params=PLANE, faint=0.0)[Layer.SHADOW][..., 0]
+        != shadow
     ).mean() > 0.01
 
 

@@ -182,7 +182,9 @@ def test_shadow_on_itself_against_true_rays(level: str, most: float) -> None:
     """The table's top around the cube; the light of 12 degrees leaves a wide penumbra there."""
     light = lamp(30, 40, 12.0, ambient=0.0)
     s = on_plane(
-        stacked(), light, Camera(50, 50, np.array([[50.0, 0, 25], [0, 50, 25], [0, 0, 1]]))
+        stacked(),
+        light,
+        Camera(50, 50, np.array([[50.0, 0, 25], [0, 50, 25], [0, 0, 1]])),
     )  # a pixel for each place
     side = s.world_from_model[0, 0]  # of the cube, metres
     top = 0.2 * side
@@ -202,7 +204,9 @@ def test_shadow_on_itself_against_true_rays(level: str, most: float) -> None:
     rays = disc_samples(light.lights[0].unit, 12.0, 16)
     weight = rays[:, 2] / rays[:, 2].sum()
     truth = (1 - hides_box(points, rays)) @ weight
-    assert 0.05 < (truth < 0.9).mean() < 0.6 and ((truth > 0.1) & (truth < 0.9)).sum() > 100
+    assert (
+        0.05 < (truth < 0.9).mean() < 0.6 and ((truth > 0.1) & (truth < 0.9)).sum() > 100
+    )
     error = np.abs(made - truth)
     assert error[(truth > 0.02) & (truth < 0.98)].mean() < most
     assert error[(truth == 1) | (truth == 0)].mean() < 0.01
@@ -343,15 +347,23 @@ def test_outside_the_demand_nothing_changes(light: Light) -> None:
     made = run_stage(s)
     # what the rectangle leaves out is less than half a grey level
     assert (
-        made[Layer.SHADOW][outside].min() > 1 - 0.0044 and (made[Layer.VIRTUAL] == 0).all()
+        made[Layer.SHADOW][outside].min() > 1 - 0.0044
+        and (made[Layer.VIRTUAL] == 0).all()
     )
     plate = np.random.default_rng(0).random(
         (s.camera.height, s.camera.width, 3), np.float32
     )
-    none = {name: neutral(name, s.camera.rect) for name in (Layer.VIRTUAL, Layer.COVERAGE)}
+    none = {
+        name: neutral(name, s.camera.rect) for name in (Layer.VIRTUAL, Layer.COVERAGE)
+    }
     layers = layers_of(
         s.camera.rect,
-        {**none, Layer.PLATE: plate, Layer.IMAGE: plate, Layer.SHADOW: made[Layer.SHADOW]},
+        {
+            **none,
+            Layer.PLATE: plate,
+            Layer.IMAGE: plate,
+            Layer.SHADOW: made[Layer.SHADOW],
+        },
     )
     composite = STAGES["composite"]()
     f = facts(s).with_(bias_rgb=(0.1, 0.05, 0.02))

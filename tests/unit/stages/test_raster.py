@@ -50,7 +50,11 @@ from tests.unit.stages.raster_scenes import (
 def projected(scene: Scene, pose: Pose, points: np.ndarray) -> np.ndarray:
     c = scene.camera
     return cv2.projectPoints(
-        points, cv2.Rodrigues(pose.rotation)[0], pose.translation_m, c.matrix, c.distortion
+        points,
+        cv2.Rodrigues(pose.rotation)[0],
+        pose.translation_m,
+        c.matrix,
+        c.distortion,
     )[0].reshape(-1, 2)
 
 
@@ -110,7 +114,9 @@ def test_plane_depth_position_normal_and_material(backend: str, lens: str) -> No
     )
     covered = out[Layer.COVERAGE] > 0  # edge pixels too: never mixed with the background
     np.testing.assert_allclose(
-        out[Layer.ALBEDO][covered], np.tile([0.2, 0.4, 0.6], (covered.sum(), 1)), atol=2e-5
+        out[Layer.ALBEDO][covered],
+        np.tile([0.2, 0.4, 0.6], (covered.sum(), 1)),
+        atol=2e-5,
     )
     np.testing.assert_allclose(
         out[Layer.MATERIAL][covered],
@@ -150,7 +156,9 @@ def test_sides(backend: str) -> None:
     pose = Pose(
         in_front().rotation @ np.diag([1.0, -1, -1]), np.array([0, 0, 1.0])
     )  # from behind
-    assert render(scene_of([square(0.2, 0, one)]), pose, backend)[Layer.COVERAGE].max() == 0
+    assert (
+        render(scene_of([square(0.2, 0, one)]), pose, backend)[Layer.COVERAGE].max() == 0
+    )
     out = render(scene_of([square(0.2, 0, PLAIN)]), pose, backend)
     assert out[Layer.COVERAGE].max() == 1
     np.testing.assert_allclose(
@@ -160,11 +168,15 @@ def test_sides(backend: str) -> None:
 
 @pytest.mark.parametrize("backend", BOTH)
 @pytest.mark.parametrize("level", ["standard", "reference"])
-def test_blend_is_ordered_whatever_the_order_in_the_file(backend: str, level: str) -> None:
+def test_blend_is_ordered_whatever_the_order_in_the_file(
+    backend: str, level: str
+) -> None:
     if (backend, level) == ("pyrender", "reference"):
         pytest.skip("the reference level has rays only")
     red = square(
-        0.2, 0.10, Material(base_colour=(1, 0, 0, 0.5), alpha_mode=BLEND, double_sided=True)
+        0.2,
+        0.10,
+        Material(base_colour=(1, 0, 0, 0.5), alpha_mode=BLEND, double_sided=True),
     )
     green = square(
         0.2,
@@ -264,7 +276,12 @@ def test_a_wire_thinner_than_a_pixel_is_not_missed() -> None:
     w = 0.3 / 300 / 2  # .3 px wide
     wire = quad(
         np.array(
-            [[-0.3, -0.1 - w, 0], [0.3, 0.1 - w, 0], [0.3, 0.1 + w, 0], [-0.3, -0.1 + w, 0]]
+            [
+                [-0.3, -0.1 - w, 0],
+                [0.3, 0.1 - w, 0],
+                [0.3, 0.1 + w, 0],
+                [-0.3, -0.1 + w, 0],
+            ]
         )
     )
     out = render(scene_of([wire]), in_front(), "rays", samples=64)
@@ -287,7 +304,9 @@ def test_rays_give_the_same_bits_over_any_rectangle(lens: str) -> None:
 @cache
 def barrel_box(backend: str, level: str) -> dict[Layer, np.ndarray]:
     scene = Scene(camera("barrel"), box_model(0.3, PLAIN), np.eye(4))
-    return render(scene, in_front(0.9, 35, 25), backend, level, rect=Rect(60, 50, 250, 220))
+    return render(
+        scene, in_front(0.9, 35, 25), backend, level, rect=Rect(60, 50, 250, 220)
+    )
 
 
 @pytest.mark.parametrize("backend", BOTH)
@@ -325,7 +344,9 @@ def test_lens_table_is_exact_to_a_thousandth_of_a_pixel() -> None:
         c = camera(lens)
         d = LensTable(c).directions(c.rect).astype(float)
         want = c.normalised(
-            np.stack(np.meshgrid(np.arange(c.width), np.arange(c.height)), -1).astype(float)
+            np.stack(np.meshgrid(np.arange(c.width), np.arange(c.height)), -1).astype(
+                float
+            )
         )
         assert (np.abs(d - want) * [c.fx, c.fy]).max() < 1e-3, lens
 
@@ -435,7 +456,9 @@ def independent_scenes() -> dict[str, tuple[Scene, Pose, Rect]]:
         None,
         colours,
     )
-    glass = Material(base_colour=(0.9, 0.1, 0.1, 0.4), alpha_mode=BLEND, double_sided=True)
+    glass = Material(
+        base_colour=(0.9, 0.1, 0.1, 0.4), alpha_mode=BLEND, double_sided=True
+    )
     behind = Model((square(0.2, 0.2, glass), *box_model(0.2, PLAIN).parts), "z")
     cut = np.full((16, 16, 4), 255, np.uint8)
     cut[4:9, 3:12, 3] = 0
@@ -487,7 +510,9 @@ def test_the_reference_level_is_what_an_independent_renderer_finds(name: str) ->
 
 
 def test_pyramid_averages_in_linear_light() -> None:
-    checker = (np.indices((4, 4)).sum(0) % 2 * 255).astype(np.uint8)[..., None].repeat(3, 2)
+    checker = (
+        (np.indices((4, 4)).sum(0) % 2 * 255).astype(np.uint8)[..., None].repeat(3, 2)
+    )
     texels = np.empty((21, 4), np.uint16)
     levels = write_pyramid(checker, True, texels)
     assert [x.shape[:2] for x in levels] == [(4, 4), (2, 2), (1, 1)]
@@ -618,7 +643,9 @@ def test_textures_take_no_more_than_their_own_types() -> None:
     import tracemalloc
 
     image = np.random.default_rng(0).integers(0, 256, (2048, 2048, 4), dtype=np.uint8)
-    expected = SRGB.decode(image[:64, :64, :3] / 255).reshape(32, 2, 32, 2, 3).mean((1, 3))
+    expected = (
+        SRGB.decode(image[:64, :64, :3] / 255).reshape(32, 2, 32, 2, 3).mean((1, 3))
+    )
     tracemalloc.start()
     stack = texture_stack([(Texture(image), True)])
     peak = tracemalloc.get_traced_memory()[1]

@@ -46,7 +46,9 @@ def test_a_mirrored_tangent_turns_the_maps_up() -> None:
         replace(textured(material), tangents=np.tile([1.0, 0, 0, sign], (4, 1)))
         for sign in (1, -1)
     )
-    up, down = (render(scene_of([part]), in_front(), "rays", rect=MIDDLE) for part in parts)
+    up, down = (
+        render(scene_of([part]), in_front(), "rays", rect=MIDDLE) for part in parts
+    )
     assert up[Layer.NORMAL][AT][1] > 0.3
     np.testing.assert_allclose(
         down[Layer.NORMAL][AT], up[Layer.NORMAL][AT] * [1, -1, 1], atol=1e-2

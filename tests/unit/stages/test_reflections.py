@@ -17,7 +17,12 @@ from arfx.core.memo import memo_of
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.scene import Scene
 from arfx.errors import RenderError
-from arfx.stages.light.environment import Environment, environment_of, prefiltered, radiance
+from arfx.stages.light.environment import (
+    Environment,
+    environment_of,
+    prefiltered,
+    radiance,
+)
 from arfx.stages.light.split_sum import split_sum
 from arfx.stages.light.surroundings import frame_environment
 from arfx.stages.lightmap.coats import add_clear_coat, add_sheen
@@ -79,7 +84,9 @@ def directions(count: int) -> np.ndarray:
 
 @pytest.mark.parametrize("metallic", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("roughness", [0.0, 0.1, 0.3, 0.5, 0.8, 1.0])
-def test_a_white_surface_in_even_light_is_white(metallic: float, roughness: float) -> None:
+def test_a_white_surface_in_even_light_is_white(
+    metallic: float, roughness: float
+) -> None:
     surface, on = ball(1.0, metallic, roughness)
     np.testing.assert_allclose(in_even_light(surface, lights())[on], 1, atol=0.01)
 
@@ -146,11 +153,15 @@ def test_a_coat_adds_no_light_and_lamps_are_mirrored_where_they_stand() -> None:
 @pytest.mark.parametrize("roughness", [0.3, 0.5, 1.0])
 def test_fibres_send_back_no_more_than_falls_on_them(roughness: float) -> None:
     surface, on = ball(1.0, 0.0, 1.0)
-    sheen = np.broadcast_to(np.array([1, 0.5, 0.0, roughness], F32), (SIDE, SIDE, 4)).copy()
+    sheen = np.broadcast_to(
+        np.array([1, 0.5, 0.0, roughness], F32), (SIDE, SIDE, 4)
+    ).copy()
     out = in_even_light(surface, lights())
     add_sheen(out, surface, sheen, EYE, lights(), EVEN_SOFT, NO_BIAS)
     np.testing.assert_allclose(out[on][:, 0], 1, atol=0.02)
-    assert (out[on][:, 0] >= out[on][:, 1]).all() and (out[on][:, 1] >= out[on][:, 2]).all()
+    assert (out[on][:, 0] >= out[on][:, 1]).all() and (
+        out[on][:, 1] >= out[on][:, 2]
+    ).all()
     assert out[on].min() >= 0 and out[on][:, 2].min() < 0.99
 
 
@@ -187,7 +198,9 @@ def on_plane(environment: Environment) -> np.ndarray:
 LAMP = DirectionalLight((0.0, 0.6, 0.8), (3.0, 3.0, 3.0), 3.0)
 
 
-@pytest.mark.parametrize("cube", [None, np.full((6, 6, 6, 3), 0.4), np.zeros((6, 6, 6, 3))])
+@pytest.mark.parametrize(
+    "cube", [None, np.full((6, 6, 6, 3), 0.4), np.zeros((6, 6, 6, 3))]
+)
 def test_the_surroundings_are_as_bright_as_the_light_without_its_lamps(
     cube: np.ndarray | None,
 ) -> None:
@@ -202,7 +215,9 @@ def test_a_mirror_shows_what_the_clip_saw_and_a_guess_as_bright() -> None:
     known = (d[..., 0:1] > 0.5).astype(float)
     seen = np.concatenate([known * 0.8 * np.ones(3), known], -1)
     environment = surrounded(Light((0.5, 0.5, 0.5), ()), np.full((6, 6, 6, 3), 0.1), seen)
-    there, elsewhere = looked_up(environment, np.array([[1, 0, 0.2], [0, 0, 1]], F32), 0.0)
+    there, elsewhere = looked_up(
+        environment, np.array([[1, 0, 0.2], [0, 0, 1]], F32), 0.0
+    )
     np.testing.assert_allclose(there, 0.8 * 0.5, rtol=0.02)
     np.testing.assert_allclose(elsewhere, 0.8 * 0.5, rtol=0.05)
     matt = looked_up(environment, np.array([[0, 0, 1]], F32), 1.0)

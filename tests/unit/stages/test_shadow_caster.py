@@ -24,7 +24,11 @@ def arc(angle: float) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("hull_of", "angle"),
-    [(visibility._outline, 0.05), (visibility._outline, 2 * np.pi), (_outline, 2 * np.pi)],
+    [
+        (visibility._outline, 0.05),
+        (visibility._outline, 2 * np.pi),
+        (_outline, 2 * np.pi),
+    ],
 )
 def test_a_hull_of_20000_points_on_a_circle_takes_no_time(
     hull_of: Callable[[np.ndarray], np.ndarray], angle: float
@@ -40,7 +44,8 @@ def test_a_hull_of_20000_points_on_a_circle_takes_no_time(
 def test_a_hull_of_few_corners_is_exact() -> None:
     inside = np.random.default_rng(1).random((5000, 3))
     np.testing.assert_array_equal(
-        np.unique(_outline(np.concatenate([inside, CUBE])), axis=0), np.unique(CUBE, axis=0)
+        np.unique(_outline(np.concatenate([inside, CUBE])), axis=0),
+        np.unique(CUBE, axis=0),
     )
     few = inside[:30]
     assert {tuple(p) for p in _outline(few)} == {

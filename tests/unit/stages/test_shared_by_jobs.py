@@ -38,9 +38,11 @@ def test_later_jobs_find_transport_and_shadow_region(
     elsewhere = replace(
         first, world_from_model=np.diag([1.5, 1.5, 1.5, 1]) @ first.world_from_model
     )
-    assert gi.prepare(elsewhere, "draft").transport is not one.transport and shadow_region(
-        elsewhere
-    ) is not shadow_region(first)
+    assert gi.prepare(
+        elsewhere, "draft"
+    ).transport is not one.transport and shadow_region(elsewhere) is not shadow_region(
+        first
+    )
     assert gi.prepare(first, "standard").transport is not one.transport, (
         "another level has other rays"
     )

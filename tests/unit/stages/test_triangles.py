@@ -18,7 +18,9 @@ def test_the_hemisphere_has_the_right_mean() -> None:
 
 
 def test_a_half_plane_wall_takes_half_the_hemisphere() -> None:
-    wall = np.array([[0, -1e4, -1e4], [0, 1e4, -1e4], [0, 1e4, 1e4], [0, -1e4, 1e4]], float)
+    wall = np.array(
+        [[0, -1e4, -1e4], [0, 1e4, -1e4], [0, 1e4, 1e4], [0, -1e4, 1e4]], float
+    )
     o = Triangles(wall[[[0, 1, 2], [0, 2, 3]]])
     assert o.visible_fraction(np.array([[0.01, 0, 0.0]]), hemisphere(4096))[
         0
@@ -31,9 +33,9 @@ def test_a_sphere_overhead_takes_its_form_factor() -> None:
     ball = trimesh.creation.icosphere(subdivisions=4, radius=1.0)
     o = Triangles(ball.triangles + np.array([0, 0, 3]))
     # form factor of a sphere above a facing plane element: (r / d)^2
-    assert 1 - o.visible_fraction(np.zeros((1, 3)), hemisphere(20000))[0] == pytest.approx(
-        1 / 9, rel=0.02
-    )
+    assert 1 - o.visible_fraction(np.zeros((1, 3)), hemisphere(20000))[
+        0
+    ] == pytest.approx(1 / 9, rel=0.02)
 
 
 def test_rays_that_are_left_out_meet_nothing() -> None:

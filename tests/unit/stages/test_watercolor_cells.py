@@ -49,7 +49,12 @@ def random_sites(case: int) -> tuple[Sites, Rect, Wobble, float]:
         np.float32
     )
     wobble = random_wobble(g, 12) if case % 4 else STILL
-    return Sites(x, y, weight, np.arange(n), x, y), rect, wobble, (0.0, 2.0, 1.3)[case % 3]
+    return (
+        Sites(x, y, weight, np.arange(n), x, y),
+        rect,
+        wobble,
+        (0.0, 2.0, 1.3)[case % 3],
+    )
 
 
 @pytest.mark.parametrize("case", range(20))
@@ -164,7 +169,9 @@ def test_a_cell_has_the_exact_mean_of_its_pixels() -> None:
         for k in range(found.count)
     ]
     np.testing.assert_allclose(
-        both, [p.mean(0, dtype=float) if len(p) else np.zeros(3) for p in pixels], atol=1e-7
+        both,
+        [p.mean(0, dtype=float) if len(p) else np.zeros(3) for p in pixels],
+        atol=1e-7,
     )
     assert mean_area.tolist() == [len(p) / 2 for p in pixels]
 
@@ -206,7 +213,9 @@ def test_density_follows_its_target_under_zoom_where_cells_go_by_detail(
         [np.arange(0, 241, 80), np.arange(0, 321, 80)],
     )
     across = np.exp2(
-        np.interp(np.arange(320), f.x0 + 32 * np.arange(f.size.shape[1]), np.log2(size[0]))
+        np.interp(
+            np.arange(320), f.x0 + 32 * np.arange(f.size.shape[1]), np.log2(size[0])
+        )
     )
     target = 80 * (1 / across**2).reshape(4, 80).sum(1)
     assert (
@@ -248,7 +257,10 @@ def test_sites_appear_from_nothing_and_never_move() -> None:
                 [worst, *(now[k_] for k_ in now.keys() - before.keys() if k_ in middle)]
             )
             worst = max(
-                [worst, *(before[k_] for k_ in before.keys() - now.keys() if k_ in middle)]
+                [
+                    worst,
+                    *(before[k_] for k_ in before.keys() - now.keys() if k_ in middle),
+                ]
             )
         before = now
     assert worst <= 0.3 * 64
@@ -267,9 +279,9 @@ def test_washes_join_alike_cells_only() -> None:
     x, one = 80 * np.arange(6, dtype=np.float32), np.ones(6, np.float32)
     near, share = neighbours(x, 0 * x, 80 * one)
     assert set(near[2][share[2] > 0]) == {1, 3} and share[2].max() > 0.2
-    colours = np.array([[0.5], [0.52], [0.5], [0.05], [0.052], [0.05]], np.float32).repeat(
-        3, 1
-    )
+    colours = np.array(
+        [[0.5], [0.52], [0.5], [0.05], [0.052], [0.05]], np.float32
+    ).repeat(3, 1)
     out = smooth_washes(colours, near, share, one, 0.05, 20) ** 2
     assert np.ptp(out[:3]) < 0.4 * 0.02 and np.ptp(out[3:]) < 0.002
     assert out[2, 0] - out[3, 0] > 0.95 * 0.45

@@ -108,16 +108,22 @@ def test_lines_hold_still_in_noise_where_printed_edges_flip() -> None:
     assert ours <= 0.02 < 0.1 < printed
 
 
-def test_an_object_of_the_colour_of_its_background_keeps_its_outline_and_creases() -> None:
+def test_an_object_of_the_colour_of_its_background_keeps_its_outline_and_creases() -> (
+    None
+):
     grey = np.full((60, 60, 3), 0.3, np.float32)
     coverage = np.zeros((60, 60), np.float32)
     coverage[16:44, 16:44] = 1
     normal = np.zeros((60, 60, 3), np.float32)
     normal[16:44, 16:30], normal[16:44, 30:44] = (1, 0, 0), (0, 0, 1)
     depth = np.where(coverage > 0, 1.0, np.inf).astype(np.float32)
-    line = lambda c, n, d: line_strength(grey, 0.02, 0.06, 2, 2, object_edges(c, n, d, 1.0))  # noqa: E731
+    line = lambda c, n, d: line_strength(  # noqa: E731
+        grey, 0.02, 0.06, 2, 2, object_edges(c, n, d, 1.0)
+    )
     whole = line(coverage, normal, depth)
-    assert whole[15, 7:9].max() > 0.7 and whole[15, 14:16].max() > 0.5 and whole[15, 3] == 0
+    assert (
+        whole[15, 7:9].max() > 0.7 and whole[15, 14:16].max() > 0.5 and whole[15, 3] == 0
+    )
     normal[..., :] = (0, 0, 1)
     smooth = line(coverage, normal, depth)
     assert smooth[15, 12:18].max() == 0 and smooth[15, 7:9].max() > 0.7
@@ -185,7 +191,10 @@ def test_borders_stray_with_the_things_between_pixels_too() -> None:
         and abs(x - x2) > 5
     )
     behind = replace(pose, translation_m=-pose.translation_m)
-    assert (wobbles.of_object(cam, behind, np.zeros(3)).x, Wobbles(1, 0.0).at(5.5, 1)) == (
+    assert (
+        wobbles.of_object(cam, behind, np.zeros(3)).x,
+        Wobbles(1, 0.0).at(5.5, 1),
+    ) == (
         0,
         STILL,
     )

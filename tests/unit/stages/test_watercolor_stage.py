@@ -50,7 +50,9 @@ PLAIN = WatercolorParams(
 def surfaces_made_once() -> Iterator[None]:
     """The points on a scene's object are its own; most tests here paint one and the same."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("arfx.stages.watercolor.stage.sample_surface", cache(sample_surface))
+        patch.setattr(
+            "arfx.stages.watercolor.stage.sample_surface", cache(sample_surface)
+        )
         yield
 
 
@@ -91,7 +93,9 @@ def picture(h: int = 120, w: int = 160) -> np.ndarray:
 def test_any_size_is_painted(size: tuple[int, int], kind: type, level: str) -> None:
     s = scene(camera(*size))
     out = painted(picture(size[1], size[0]), kind(), level=level, s=s)
-    assert out.shape == (size[1], size[0], 3) and np.isfinite(out).all() and out.min() >= 0
+    assert (
+        out.shape == (size[1], size[0], 3) and np.isfinite(out).all() and out.min() >= 0
+    )
 
 
 @pytest.mark.parametrize("value", [0.0, 1.0])
@@ -134,7 +138,9 @@ def test_the_paper_flickers_and_the_correction_does_not() -> None:
     """A still clip with noise: squared error between frames (docs/methods/watercolor.md#errata)."""
     g = np.random.default_rng(0)
     base = np.sqrt(picture())
-    frames = [np.clip(base + g.normal(0, 2 / 255, base.shape), 0, 1) ** 2 for _ in range(3)]
+    frames = [
+        np.clip(base + g.normal(0, 2 / 255, base.shape), 0, 1) ** 2 for _ in range(3)
+    ]
     error = {}
     for name, params in (
         ("paper", PrintedWatercolorParams(line_threshold=2)),
@@ -142,7 +148,8 @@ def test_the_paper_flickers_and_the_correction_does_not() -> None:
         ("all", None),
     ):
         out = [
-            np.sqrt(painted(f, params, FrameFacts(k, k / 30))) for k, f in enumerate(frames)
+            np.sqrt(painted(f, params, FrameFacts(k, k / 30)))
+            for k, f in enumerate(frames)
         ]
         error[name] = np.mean([np.mean((a - b) ** 2) for a, b in itertools.pairwise(out)])
     assert error["ours"] < error["paper"] / 100 and error["all"] < error["paper"] / 10
@@ -232,7 +239,9 @@ def test_the_objects_bright_side_is_where_the_light_is() -> None:
     cx, cy = (box.x0 + box.x1) // 2, (box.y0 + box.y1) // 2
     third = box.width // 4
     for sign in (-1, 1):
-        light = Light((0.1, 0.1, 0.1), (DirectionalLight((sign, 0, 0.3), (0.8, 0.8, 0.8)),))
+        light = Light(
+            (0.1, 0.1, 0.1), (DirectionalLight((sign, 0, 0.3), (0.8, 0.8, 0.8)),)
+        )
         out = painted(image, f=SEEN.with_(light=light), **parts)
         left, right = (
             out[cy - 3 : cy + 3, cx - third - 3 : cx - third + 3],
@@ -342,7 +351,10 @@ def test_cells_stay_what_they_are_though_measured_depth_is_noisy_and_has_holes()
         noisy = true * (1 + g.normal(0, TYPICAL_NOISE, true.shape))
         holes = np.kron(g.random((30, 40)) < 0.03, np.ones((4, 4))) > 0
         noisy[holes] = np.roll(noisy, 6, axis=1)[holes]
-        f, depth = dataclasses.replace(deep(SEEN, noisy), index=k), noisy.astype(np.float32)
+        f, depth = (
+            dataclasses.replace(deep(SEEN, noisy), index=k),
+            noisy.astype(np.float32),
+        )
         view = ready.view(layers(image, real_depth=depth), f)
         field, _ = ready.stage.field_of(view)  # type: ignore[attr-defined]
         sites = make_sites(field, SCENE.seed, 10**5, PLAIN.cell_px)
@@ -386,7 +398,9 @@ def test_cells_of_the_objects_near_parts_are_finer() -> None:
     )
     assert near > 1.1 * far > 1.1
     growing = sites.weight < 0
-    assert growing.any() and (sites.weight >= -((1.2 * 8 * size[sites.key]) ** 2) - 1).all()
+    assert (
+        growing.any() and (sites.weight >= -((1.2 * 8 * size[sites.key]) ** 2) - 1).all()
+    )
 
 
 def test_cells_that_hardly_differ_with_nearness_are_those_that_do_not() -> None:
@@ -430,14 +444,20 @@ def test_levels_paint_the_same_cells_more_and_more_exactly(more: dict[str, Any])
         2 if more.get("edge_darkening", 1) else 1.1
     )  # without borders pixels show which cell they are in
     assert 0 < halves * error["high"] < error["standard"] < 0.02, error
-    assert np.array_equal(cells["standard"].labels[0].first, cells["high"].labels[0].first)
+    assert np.array_equal(
+        cells["standard"].labels[0].first, cells["high"].labels[0].first
+    )
     of_places = [labels.count for labels in cells["reference"].labels]
     assert of_places == 16 * [cells["high"].labels[0].count]
 
 
 @pytest.mark.parametrize(
     "more",
-    [{}, {"wobble_px": 0, "wash": 1.0}, {"edge_darkening": 1.0, "wash": 0, "cell_px": 12}],
+    [
+        {},
+        {"wobble_px": 0, "wash": 1.0},
+        {"edge_darkening": 1.0, "wash": 0, "cell_px": 12},
+    ],
 )
 def test_the_reference_level_is_the_picture_of_an_independent_one(
     more: dict[str, Any],
@@ -533,7 +553,8 @@ def test_in_a_pan_the_picture_goes_with_the_things() -> None:
         )
     world = cv2.GaussianBlur(world, (0, 0), 0.8)
     frames = [
-        world[30:150, 40 + step * k : 200 + step * k] + g.normal(0, 2 / 255, (120, 160, 3))
+        world[30:150, 40 + step * k : 200 + step * k]
+        + g.normal(0, 2 / 255, (120, 160, 3))
         for k in range(4)
     ]
     nodes, motion = still_field(*size, 8, 96), BackgroundMotion()

@@ -93,7 +93,9 @@ def test_what_is_written_is_what_was_seen(tmp_path: Path, clip: dict) -> None:
     assert rotation % 360 == clip.get("rotation_deg", 0)
     world, picture = picture_of(scene)
     for n, shown in enumerate(pictures):
-        exact = bt709(expose(scene, picture.radiance(n), n, float(world.frame_times_s[n])))
+        exact = bt709(
+            expose(scene, picture.radiance(n), n, float(world.frame_times_s[n]))
+        )
         upright = np.rot90(shown[0], rotation // 90)
         assert upright.shape == exact[0].shape
         assert np.abs(upright - exact[0]).mean() < 0.8
@@ -108,7 +110,8 @@ def test_the_same_scene_gives_the_same_bytes_and_another_seed_others(
     digests = []
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         make_clip(
-            little_scene(64, 48, frames=3, path=ORBIT, seed=seed, **noisy), tmp_path / name
+            little_scene(64, 48, frames=3, path=ORBIT, seed=seed, **noisy),
+            tmp_path / name,
         )
         digests.append(
             {

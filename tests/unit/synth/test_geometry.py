@@ -140,7 +140,9 @@ def test_lights_of_the_truth_agree_in_all_frames_of_reference() -> None:
     lamp = truth.lights[0]
     e, a = np.radians(40), np.radians(30)
     np.testing.assert_allclose(
-        lamp["room"], [np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], atol=1e-12
+        lamp["room"],
+        [np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)],
+        atol=1e-12,
     )
     in_camera = (
         truth.markers["36h11:3"].camera_from_marker.rotation @ lamp["marker"]["36h11:3"]

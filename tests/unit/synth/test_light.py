@@ -186,7 +186,8 @@ def test_penumbra_is_as_wide_as_the_lamp_and_the_height_make_it() -> None:
     world, picture = picture_of(scene, samples=4)
     made, (depth, owner) = picture.radiance(0)[..., 0] / 0.5, picture.surfaces(0)
     camera_points = (
-        np.concatenate([picture.rays(0, 0), np.ones((120, 160, 1))], -1) * depth[..., None]
+        np.concatenate([picture.rays(0, 0), np.ones((120, 160, 1))], -1)
+        * depth[..., None]
     )
     x = world.camera_at(0, 0.0).inverse().apply(camera_points)[..., 0]
     reach = height * np.tan(np.radians(size_deg / 2))
@@ -265,7 +266,12 @@ def test_lamps_switch_fade_and_swing() -> None:
 
 def test_one_sample_stands_for_all_only_where_nothing_ends() -> None:
     """The same as with every sample in every pixel, which a shutter, however short, asks for."""
-    lamp = {"azimuth_deg": 20, "elevation_deg": 40, "rgb": [0.6] * 3, "angular_size_deg": 8}
+    lamp = {
+        "azimuth_deg": 20,
+        "elevation_deg": 40,
+        "rgb": [0.6] * 3,
+        "angular_size_deg": 8,
+    }
     parts = {
         "plane": [
             FLOOR,

@@ -43,12 +43,20 @@ def test_motion_blur_is_as_long_as_the_way_during_the_shutter_and_centred() -> N
     """An edge at 0.5 m/s, 1 m away, under a shutter of 0.4 s, f = 55.5 px: smeared evenly
     over 11.1 px.
     """
-    keys = [{"time_s": t, "position_m": [2 + 0.5 * t, 0, 0]} for t in (-1.0, 0.0, 1.0, 2.0)]
+    keys = [
+        {"time_s": t, "position_m": [2 + 0.5 * t, 0, 0]} for t in (-1.0, 0.0, 1.0, 2.0)
+    ]
     moving = {**HALF, "motion": {"kind": "keys", "keys": keys}}
     lens = {"fov_deg": 71.6, "shutter_s": 0.4}
     world, picture = picture_of(
         little_scene(
-            80, 16, frames=3, path=from_above(), plane=[FLOOR, moving], lens=lens, samples=8
+            80,
+            16,
+            frames=3,
+            path=from_above(),
+            plane=[FLOOR, moving],
+            lens=lens,
+            samples=8,
         )
     )
     place, variance = edge(picture.radiance(1)[8, :, 0])
@@ -60,7 +68,9 @@ def test_motion_blur_is_as_long_as_the_way_during_the_shutter_and_centred() -> N
 
 
 def test_rolling_shutter_slants_what_moves() -> None:
-    keys = [{"time_s": t, "position_m": [2 + 0.5 * t, 0, 0]} for t in (-1.0, 0.0, 1.0, 2.0)]
+    keys = [
+        {"time_s": t, "position_m": [2 + 0.5 * t, 0, 0]} for t in (-1.0, 0.0, 1.0, 2.0)
+    ]
     moving = {**HALF, "motion": {"kind": "keys", "keys": keys}}
     scene = little_scene(
         80,
@@ -76,9 +86,9 @@ def test_rolling_shutter_slants_what_moves() -> None:
     made = picture.radiance(0)[..., 0]
     places = np.array([edge(row)[0] for row in made])
     slope = np.polyfit(np.arange(96), places, 1)[0]
-    assert slope * 96 == pytest.approx(0.5 * 0.08 * world.camera.matrix[0, 0], rel=0.15), (
-        "in steps of bands of rows"
-    )
+    assert slope * 96 == pytest.approx(
+        0.5 * 0.08 * world.camera.matrix[0, 0], rel=0.15
+    ), "in steps of bands of rows"
     assert places.mean() == pytest.approx(39.5, abs=0.05), (
         "the middle row is exposed at the frame's time"
     )
@@ -134,7 +144,9 @@ def test_exposure_is_gain_then_bias_then_clipping_then_the_curve() -> None:
 
 
 def test_drift_swings_by_the_stated_stops() -> None:
-    scene = little_scene(exposure={"gain": 0.8, "drift_stops": 0.5, "drift_period_s": 2.0})
+    scene = little_scene(
+        exposure={"gain": 0.8, "drift_stops": 0.5, "drift_period_s": 2.0}
+    )
     gains = [gain_at(scene, t) for t in np.linspace(0, 2, 201)]
     assert max(gains) == pytest.approx(0.8 * 2**0.5, rel=1e-3) and min(
         gains
@@ -149,7 +161,9 @@ def test_noise_has_the_stated_variance_in_linear_light() -> None:
     linear = SRGB.decode(expose(scene, radiance, 0, 0.0)).astype(float)
     assert np.allclose(linear.mean((0, 1)), level, atol=2e-4)
     assert np.allclose(linear.var((0, 1)), 0.004**2 + 2e-4 * level, rtol=0.03)
-    first, second = (expose(scene, radiance, n, 0.0)[..., 1].astype(float) for n in (0, 1))
+    first, second = (
+        expose(scene, radiance, n, 0.0)[..., 1].astype(float) for n in (0, 1)
+    )
     assert np.array_equal(first, expose(scene, radiance, 0, 0.0)[..., 1])
     assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 0.02, (
         "frames have noise of their own"

@@ -126,7 +126,9 @@ def test_visible_counts_what_stands_before_the_print_and_beyond_the_border() -> 
         "position_m": [0.1, 0, 0.05],
     }  # covers x > 0 as seen from straight above
     free = little_scene(path=from_above(), marker=[{"spec": "36h11:3:100mm"}])
-    half = little_scene(path=from_above(), marker=[{"spec": "36h11:3:100mm"}], box=[cover])
+    half = little_scene(
+        path=from_above(), marker=[{"spec": "36h11:3:100mm"}], box=[cover]
+    )
     gone = little_scene(
         path=from_above(), marker=[{"spec": "36h11:3:100mm", "position_m": [3, 0, 0]}]
     )
@@ -138,5 +140,7 @@ def test_visible_counts_what_stands_before_the_print_and_beyond_the_border() -> 
         world, _ = picture_of(scene)
         seen.append(next(iter(frame_truth(world, 0).markers.values())).visible)
     assert (
-        seen[0] == 1 and seen[1] == pytest.approx(0.5, abs=0.05) and seen[2] == seen[3] == 0
+        seen[0] == 1
+        and seen[1] == pytest.approx(0.5, abs=0.05)
+        and seen[2] == seen[3] == 0
     )

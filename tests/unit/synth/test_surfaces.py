@@ -92,7 +92,9 @@ def test_edge_of_a_print_is_its_exact_area() -> None:
     column, row = int(np.floor(left + 0.5)), round(world.camera.cy - half_px * 0.8)
     covered = left + 0.5 - column
     assert 0.05 < covered < 0.95
-    assert seen[row, column] == pytest.approx(0.9 * covered + 0.1 * (1 - covered), abs=1e-6)
+    assert seen[row, column] == pytest.approx(
+        0.9 * covered + 0.1 * (1 - covered), abs=1e-6
+    )
     line = int(np.floor(top + 0.5))
     covered = top + 0.5 - line
     assert seen[line, round(world.camera.cx - half_px * 0.8)] == pytest.approx(

@@ -87,7 +87,8 @@ def test_flow_is_unknown_across_a_cut_and_after_the_last_frame() -> None:
     scene = scene.model_copy(update={"shot": (scene.shot[0], scene.shot[0])})
     _, picture = picture_of(scene)
     known = [
-        np.isfinite(picture.flow(n, *picture.surfaces(n))).all(-1).mean() for n in range(4)
+        np.isfinite(picture.flow(n, *picture.surfaces(n))).all(-1).mean()
+        for n in range(4)
     ]
     assert known == [1, 0, 1, 0]
 
@@ -131,9 +132,18 @@ def test_truth_files_come_back_as_they_were(tmp_path: Path) -> None:
     back = read_truth(tmp_path / "truth.jsonl")
     assert back.world == "36h11:3" and len(back.frames) == 2
     for a, b in zip(frames, back.frames, strict=True):
-        assert np.allclose(a.camera_from_room.matrix, b.camera_from_room.matrix, atol=1e-12)
-        assert np.allclose(a.markers["36h11:3"].corners_px, b.markers["36h11:3"].corners_px)
-        assert (a.time_s, a.shot, a.gain, a.lights) == (b.time_s, b.shot, b.gain, b.lights)
+        assert np.allclose(
+            a.camera_from_room.matrix, b.camera_from_room.matrix, atol=1e-12
+        )
+        assert np.allclose(
+            a.markers["36h11:3"].corners_px, b.markers["36h11:3"].corners_px
+        )
+        assert (a.time_s, a.shot, a.gain, a.lights) == (
+            b.time_s,
+            b.shot,
+            b.gain,
+            b.lights,
+        )
     lamp = back.frames[0].lights[0]
     pose = back.frames[0].markers["36h11:3"].camera_from_marker
     assert np.allclose(pose.rotation @ lamp["marker"]["36h11:3"], lamp["camera"]), (

@@ -132,7 +132,10 @@ def test_what_is_no_plane_gives_none() -> None:
 def test_the_search_is_the_same_each_time() -> None:
     a, b = (
         find_planes(c)
-        for c in (cloud_of(room(noise=0.002), CAMERA), cloud_of(room(noise=0.002), CAMERA))
+        for c in (
+            cloud_of(room(noise=0.002), CAMERA),
+            cloud_of(room(noise=0.002), CAMERA),
+        )
         if c is not None
     )
     assert [p.offset_m for p in a] == [p.offset_m for p in b]
@@ -197,7 +200,9 @@ def test_a_table_ends_and_the_floor_goes_on_beyond_the_picture() -> None:
         and RealPlane.from_json(table.to_json()).ends == table.ends
     )
     x0, y0, x1, y1 = table.extent_m
-    assert x1 - x0 == pytest.approx(0.7, abs=0.1) and y1 - y0 == pytest.approx(0.6, abs=0.1)
+    assert x1 - x0 == pytest.approx(0.7, abs=0.1) and y1 - y0 == pytest.approx(
+        0.6, abs=0.1
+    )
     assert not all(floor.ends)
     old = {k: v for k, v in table.to_json().items() if k != "ends"}
     assert RealPlane.from_json(old).ends == (False,) * 4

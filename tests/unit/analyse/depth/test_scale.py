@@ -36,7 +36,11 @@ def ratios(
     )
     for k, factor in enumerate(factors):
         f, z = seen(0.35 + 0.05 * k, s)
-        z = z / np.float32(factor) * (1 + noise * g.normal(size=z.shape)).astype(np.float32)
+        z = (
+            z
+            / np.float32(factor)
+            * (1 + noise * g.normal(size=z.shape)).astype(np.float32)
+        )
         z[g.random(z.shape) < holes] = 0
         out.append(
             print_ratios(z[::2, ::2] if half else z, f, s.world_from_marker, s.camera)

@@ -111,7 +111,8 @@ class Clip:
         directions = camera.directions(np.stack([x, y], -1).astype(float)) @ pose.rotation
         return np.asarray(
             self.shown(k)(
-                np.broadcast_to(pose.inverse().translation_m, directions.shape), directions
+                np.broadcast_to(pose.inverse().translation_m, directions.shape),
+                directions,
             ),
             np.float32,
         )

@@ -83,7 +83,8 @@ def test_two_equal_lamps_are_never_their_middle(apart_deg: float) -> None:
     )
     # the one peak lies within a triangle of the middle
     assert (
-        len(printed) == 1 and np.degrees(angle_between(candidates[printed[0]], middle)) < 5
+        len(printed) == 1
+        and np.degrees(angle_between(candidates[printed[0]], middle)) < 5
     )
     n = cap(75, 220)
     found = fit(
@@ -165,7 +166,9 @@ def test_who_knows_that_there_is_one_lamp_needs_less() -> None:
     """Four faces of a cube, one of them in the shade: two lamps would do as well."""
     faces = np.array([[0, 0, 1.0], [1, 0, 0], [0, -1, 0], [-1, 0, 0]])
     n, d = np.repeat(faces, 20, 0), at(-20, 48)
-    light = seen(n, (d, 1.0)) * (1 + 0.003 * np.random.default_rng(2).normal(size=(80, 3)))
+    light = seen(n, (d, 1.0)) * (
+        1 + 0.003 * np.random.default_rng(2).normal(size=(80, 3))
+    )
     assert fit(n, light).verdict != MEASURED
     one = fit(n, light, None, None, Params(most_lights=1))
     assert (
@@ -178,7 +181,8 @@ def test_amplitudes_are_never_negative() -> None:
     n = cap(60)
     found = fit(
         n,
-        np.clip(0.5 - 0.6 * np.clip(n @ at(0, 60), 0, None), 0, None)[:, None] * np.ones(3),
+        np.clip(0.5 - 0.6 * np.clip(n @ at(0, 60), 0, None), 0, None)[:, None]
+        * np.ones(3),
     )
     assert (found.ambient_rgb >= 0).all() and all(
         (li.rgb >= 0).all() for li in found.lights
@@ -234,7 +238,9 @@ def test_exposure_that_jumps_is_not_taken_for_a_lamp() -> None:
     gain[60:110] = 0.4
     account, spans, d = switched(np.ones(180), gain)
     assert account == SEGMENTS and len(spans) == 3
-    assert spans[1].fit.lights[0].rgb[spans[1].group] == pytest.approx(0.4 * LAMP, rel=0.05)
+    assert spans[1].fit.lights[0].rgb[spans[1].group] == pytest.approx(
+        0.4 * LAMP, rel=0.05
+    )
     assert np.degrees(angle_between(spans[0].fit.lights[0].direction, d)) < 2
 
 
@@ -336,7 +342,9 @@ def test_a_pair_that_looks_the_same_makes_a_likely_light_whose_cone_holds_both()
     (light,) = found.lights
     assert np.degrees(angle_between(light.direction, lamps[0] + lamps[1])) < 2
     for lamp in lamps:
-        assert np.degrees(angle_between(light.direction, lamp)) < light.confidence_deg <= 60
+        assert (
+            np.degrees(angle_between(light.direction, lamp)) < light.confidence_deg <= 60
+        )
     assert light.angular_size_deg == MOST_SIZE_DEG
     strict = fit(n, E, None, None, Params(likely=False))
     assert (
@@ -355,7 +363,9 @@ def test_the_cone_holds_the_lamp_beside_a_sky_that_is_brighter_from_one_side() -
         assert found.verdict == LIKELY
         (first, *_) = found.lights
         assert np.degrees(angle_between(first.direction, vector)) < 10
-        assert np.degrees(angle_between(first.direction, lamp)) < first.confidence_deg <= 60
+        assert (
+            np.degrees(angle_between(first.direction, lamp)) < first.confidence_deg <= 60
+        )
 
 
 def test_a_cube_of_markers_with_one_face_in_the_shade_is_enough_for_a_likely_light() -> (

@@ -140,7 +140,9 @@ def test_a_marker_turned_by_hand_tells_the_direction_in_every_frame() -> None:
         assert np.degrees(angle_between(f.light.lights[0].unit, towards)) < 1.5
         assert f.light.radiance(UP) == pytest.approx(clip.exact(k, f, UP), rel=0.02)
         assert np.abs(np.array(f.bias_rgb) - clip.bias).max() < 5e-4
-    assert np.degrees(angle_between(np.array(report["lights"][0]["direction"]), LAMP)) < 1.5
+    assert (
+        np.degrees(angle_between(np.array(report["lights"][0]["direction"]), LAMP)) < 1.5
+    )
     json.dumps(report, allow_nan=False)
 
 
@@ -344,7 +346,9 @@ def test_a_panorama_gives_its_lamp_and_its_sky() -> None:
     done = run(Clip(static="marker"), LightParams(), dome)
     light = done.facts[0].light
     assert (
-        light is not None and light.source == "environment file" and len(light.lights) == 1
+        light is not None
+        and light.source == "environment file"
+        and len(light.lights) == 1
     )
     assert np.degrees(angle_between(light.lights[0].unit, np.array([0, 1, 1.0]))) < 2
     assert light.radiance(UP) == pytest.approx(

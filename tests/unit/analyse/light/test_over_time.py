@@ -53,7 +53,8 @@ def test_the_gain_of_every_frame_is_found_where_frames_show_several_normals() ->
     found = gains(*board(gain))
     assert found is not None
     assert (
-        np.abs(found / np.median(found) - np.repeat(gain, 3) / np.median(gain)).max() < 0.03
+        np.abs(found / np.median(found) - np.repeat(gain, 3) / np.median(gain)).max()
+        < 0.03
     )
     noisy = gains(*board(gain, noise=0.005))
     assert (
@@ -88,9 +89,9 @@ def test_light_that_rests_does_not_drift_and_light_that_changes_does() -> None:
     """Of one normal at several times; noise of single frames is little in a quarter of a second."""
     n = np.repeat(TILTS, 60, 0)
     times = np.tile(np.arange(60) / 25, 3)
-    light = (harmonics(n) @ np.array([1.5, 0, 0.5, 0.2, 0, 0, 0, 0, 0]))[:, None] * np.ones(
-        3
-    )
+    light = (harmonics(n) @ np.array([1.5, 0, 0.5, 0.2, 0, 0, 0, 0, 0]))[
+        :, None
+    ] * np.ones(3)
     noise = 1 + 0.01 * np.random.default_rng(1).normal(size=(180, 1))
     assert drift(times, n, light) < 1e-9 and drift(times, n, light * noise) < 0.006
     wave = 1 + 0.1 * np.sin(2 * np.pi * 0.5 * times)[:, None]
@@ -139,7 +140,9 @@ def told(
             np.array([np.sin(turn), 0.0, np.cos(turn)]), np.ones((9, 3)), 1.0
         )
         one = len(np.unique(args[1])) == 1
-        error = 0.02 if one else 0.001  # one light for all explains less than one a window
+        error = (
+            0.02 if one else 0.001
+        )  # one light for all explains less than one a window
         if one and len(n) < 200 * len(tilts):
             return LightFit(
                 REFUSED, "too little of the clip", np.ones((1, 3)), np.ones((1, 3))
@@ -181,7 +184,9 @@ def test_halves_of_a_light_that_wanders_before_one_normal_have_to_agree(
     )
     assert told(4.0, TILTS[:1], monkeypatch, Params(likely=False))[1].verdict == REFUSED
     _, found = told(20.0, TILTS[:1], monkeypatch)
-    assert found.verdict == REFUSED and not found.lights and "no two parts" in found.reason
+    assert (
+        found.verdict == REFUSED and not found.lights and "no two parts" in found.reason
+    )
 
 
 def test_halves_may_differ_more_where_frames_show_several_normals(
@@ -225,12 +230,16 @@ def test_two_frames_of_a_board_claim_no_light() -> None:
     early = times < TIMES[2]
     other = normalise(np.array([-0.6, 0.3, 0.7]))
     light[early] = 0.3 + 0.4 * np.clip(n[early] @ other, 0, None)[:, None]
-    account, spans = fit_over_time(times, n, light, np.full(light.shape, 1e-6), [TIMES[2]])
+    account, spans = fit_over_time(
+        times, n, light, np.full(light.shape, 1e-6), [TIMES[2]]
+    )
     assert account == WINDOWS
     assert [s.fit.claimed for s in spans] == [False, True]
 
 
-def test_a_span_that_is_refused_takes_the_light_around_it_only_where_that_agrees() -> None:
+def test_a_span_that_is_refused_takes_the_light_around_it_only_where_that_agrees() -> (
+    None
+):
     def span(start_s: float, direction: np.ndarray | None) -> Span:
         lights = (
             () if direction is None else (FittedLight(direction, np.ones((1, 3)), 1.0),)

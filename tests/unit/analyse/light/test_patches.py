@@ -109,7 +109,8 @@ def test_a_part_of_the_frame_gives_what_the_whole_gives() -> None:
     whole = measure(image, (0, 0), QUAD, marker_cells("36h11", 3))
     part = measure(image[40:345, 35:350], (35, 40), QUAD, marker_cells("36h11", 3))
     assert (
-        np.array_equal(whole.mean, part.mean) or np.abs(whole.mean - part.mean).max() < 1e-9
+        np.array_equal(whole.mean, part.mean)
+        or np.abs(whole.mean - part.mean).max() < 1e-9
     )
     assert np.array_equal(whole.count, part.count)
 
@@ -235,7 +236,9 @@ def test_blur_leads_away_from_the_edges() -> None:
     image = rendered(blur=3.5)  # cells of 33 px
     near = measure(image, (0, 0), QUAD, marker_cells("36h11", 3), blur_px=0.1)
     far = measure(image, (0, 0), QUAD, marker_cells("36h11", 3), blur_px=3.5)
-    assert np.abs(far.mean - expected()).max() < 0.5 * np.abs(near.mean - expected()).max()
+    assert (
+        np.abs(far.mean - expected()).max() < 0.5 * np.abs(near.mean - expected()).max()
+    )
     assert (np.abs(far.mean - expected()) < 3 * np.sqrt(far.variance)).all()
 
 
@@ -248,7 +251,10 @@ def test_stack() -> None:
     assert clipped.shape == (2, 8)
     assert (albedo[0] == np.where(WHITE, PAPER, INK)[:, None]).all()
     assert (albedo[1] == 0.5).all()
-    assert [a.shape for a in stack([], INK, PAPER)] == [(0, 8, 3)] * 2 + [(0, 8), (0, 8, 3)]
+    assert [a.shape for a in stack([], INK, PAPER)] == [(0, 8, 3)] * 2 + [
+        (0, 8),
+        (0, 8, 3),
+    ]
 
 
 def test_a_shadow_on_a_part_of_a_print_is_told_and_a_darker_room_is_none() -> None:

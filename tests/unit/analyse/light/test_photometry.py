@@ -120,7 +120,8 @@ def test_the_inks_tolerance_is_in_the_interval() -> None:
     )
     assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all()
     assert (
-        np.abs(p.bias - 0.02).max() > 1e-3 and 0.01 < np.ptp(p.bias_95, axis=1).max() < 0.04
+        np.abs(p.bias - 0.02).max() > 1e-3
+        and 0.01 < np.ptp(p.bias_95, axis=1).max() < 0.04
     )
     exact = solve(grey, np.full(grey.shape, 1e-8), RHO, tolerances=EXACT)
     assert not ((exact.bias_95[:, 0] < 0.02) & (exact.bias_95[:, 1] > 0.02)).all()
@@ -227,7 +228,9 @@ def test_degenerate_systems_are_reported_and_nothing_non_finite_leaves(
 
 
 @pytest.mark.parametrize("difference", [1e-3, 1e-4, 0.0])
-def test_albedos_that_hardly_differ_are_degenerate_beside_noise(difference: float) -> None:
+def test_albedos_that_hardly_differ_are_degenerate_beside_noise(
+    difference: float,
+) -> None:
     rho = np.where(WHITE, 0.5 + difference, 0.5)
     for noise, seed in [(n, s) for n in (1e-3, 1e-2) for s in range(20)]:
         grey, _ = clip(rho=rho, noise=noise, seed=seed)
@@ -250,7 +253,9 @@ def test_a_nan_in_a_patch_costs_that_patch_alone() -> None:
     broken[3, 2], broken[5, 6, 1], broken[7] = np.nan, np.inf, np.nan
     p = solve(broken, np.full(grey.shape, 0.0005**2), RHO)
     assert p.verdict == MEASURED and finite(p) and p.ignored == 10
-    assert not p.seen[7] and (p.var_y_own[7] == UNKNOWN_VARIANCE).all() and not p.y[7].any()
+    assert (
+        not p.seen[7] and (p.var_y_own[7] == UNKNOWN_VARIANCE).all() and not p.y[7].any()
+    )
     assert np.abs(p.bias - 0.02).max() < 1e-3 and np.abs(p.y - y)[p.seen].max() < 5e-3
 
 
@@ -309,9 +314,9 @@ def test_a_highlight_over_a_glossy_print_is_no_light() -> None:
 
 def test_shares_of_clipped_samples_are_reported() -> None:
     grey, _ = clip()
-    assert solve(grey, None, RHO, clipped=np.full((40, 8), 0.05)).clipped == pytest.approx(
-        0.05
-    )
+    assert solve(
+        grey, None, RHO, clipped=np.full((40, 8), 0.05)
+    ).clipped == pytest.approx(0.05)
 
 
 def test_the_large_system_of_the_paper_gives_what_the_dense_one_gives() -> None:
@@ -322,7 +327,9 @@ def test_the_large_system_of_the_paper_gives_what_the_dense_one_gives() -> None:
         a.smallest, rel=1e-6
     )
     assert (
-        np.abs(a.y - b.y).max() < 1e-7 and a.nullity == b.nullity == 0 and a.rank == b.rank
+        np.abs(a.y - b.y).max() < 1e-7
+        and a.nullity == b.nullity == 0
+        and a.rank == b.rank
     )
     exact = eq6_smallest_vector(clip(frames=60)[0][..., 0], RHO, 10)
     assert exact.nullity == 1 and exact.bias == pytest.approx(0.02, abs=1e-6)

@@ -136,7 +136,9 @@ def test_a_mirror_ball_shows_the_room(name: str) -> None:
     ("name", "radius_m"),
     [("round a room", 2.0), ("round a hall", 5.0), ("under a sky", np.inf)],
 )
-def test_the_rooms_distance_is_where_the_pictures_agree(name: str, radius_m: float) -> None:
+def test_the_rooms_distance_is_where_the_pictures_agree(
+    name: str, radius_m: float
+) -> None:
     clip = CLIPS[name]
     posed = [
         seen._Posed.of(look, clip.facts[look.frame], CAMERA, False, np.zeros(3))
@@ -188,7 +190,9 @@ def test_the_map_follows_the_clip() -> None:
     clip = Clip(walls(2.0), (-90, -90), seconds=16.0, later=walls(2.0, tint=0.4))
     found, maps = analysed(clip)
     ahead = np.array([[0.2, 1, 0.25]])
-    first, last = (look_up(seen_now(found[k], scene(maps)), ahead)[0, :3] for k in (4, 36))
+    first, last = (
+        look_up(seen_now(found[k], scene(maps)), ahead)[0, :3] for k in (4, 36)
+    )
     shares = [found[k].light.mean_radiance for k in (4, 36)]  # type: ignore[union-attr]
     assert last * shares[1] == pytest.approx(0.4 * first * shares[0], rel=0.1)
 
@@ -269,7 +273,9 @@ def test_a_given_panorama_is_known_everywhere() -> None:
     given = with_environment(found, [], False, picture, np.eye(3))[0]
     narrow, wide = cubes(given, scene(maps))
     np.testing.assert_array_equal(narrow, wide)
-    assert irradiance(narrow, UP) == pytest.approx(given.light.soft_radiance(UP), rel=1e-4)  # type: ignore[union-attr]
+    assert irradiance(narrow, UP) == pytest.approx(
+        given.light.soft_radiance(UP), rel=1e-4
+    )  # type: ignore[union-attr]
 
 
 def test_frames_without_a_pose_have_none_and_a_missing_map_is_said() -> None:
@@ -306,7 +312,8 @@ def test_a_fisheye_lens_sees_what_it_sees() -> None:
     )
     clip = CLIPS["under a sky"].at_rest()
     looks = [
-        Snapshot(k, clip.picture(k, wide).astype(np.float16), np.zeros(3)) for k in (0, 20)
+        Snapshot(k, clip.picture(k, wide).astype(np.float16), np.zeros(3))
+        for k in (0, 20)
     ]
     found, maps = with_seen(clip.facts, looks, wide, False, np.zeros(3), UP)
     rgba = seen_now(found[0], scene(maps))

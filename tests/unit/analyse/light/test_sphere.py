@@ -19,7 +19,9 @@ from arfx.core.numerics import normalise
 @pytest.mark.parametrize(
     ("count", "apart_deg"), [(DEG_32, 32), (DEG_16, 16), (DEG_8, 8), (DEG_4, 4)]
 )
-def test_directions_are_as_far_apart_as_their_name_says(count: int, apart_deg: int) -> None:
+def test_directions_are_as_far_apart_as_their_name_says(
+    count: int, apart_deg: int
+) -> None:
     d = even_directions(count)
     assert d.shape == (count, 3) and np.abs(np.linalg.norm(d, axis=1) - 1).max() < 1e-14
     next_deg = np.degrees(np.arccos(np.sort(d @ d.T, 1)[:, -2]))

@@ -150,7 +150,8 @@ def test_a_panorama_looks_along_x_and_its_lamps_are_cut() -> None:
 
 def test_every_frame_of_a_shot_has_one_environment_fixed_in_the_room() -> None:
     poses = [
-        Pose(rotation_from_euler_deg(0, 0, 40 * k), np.array([0, 0, 1.0])) for k in range(3)
+        Pose(rotation_from_euler_deg(0, 0, 40 * k), np.array([0, 0, 1.0]))
+        for k in range(3)
     ]
     facts = [
         FrameFacts(k, k / 30, status=MEASURED, camera_from_world=p, opacity=1)
@@ -172,7 +173,11 @@ def test_every_frame_of_a_shot_has_one_environment_fixed_in_the_room() -> None:
     # a camera that stands still sees the same while the marker turns: other axes every
     # frame, one room
     still = with_environment(
-        facts, [EnvironmentSample(0, room, np.zeros(3), np.zeros(3))], True, None, np.eye(3)
+        facts,
+        [EnvironmentSample(0, room, np.zeros(3), np.zeros(3))],
+        True,
+        None,
+        np.eye(3),
     )
     assert still[2].environment is not None and still[2].environment.axes is not None
     room_at_rest = turned(

@@ -119,7 +119,9 @@ def photographed(
 def direction(rng: np.random.Generator, least: float, most: float) -> np.ndarray:
     """(3,) unit at an angle from +z between least and most, in degrees, even over that band."""
     z, phi = rng.uniform(*np.cos(np.radians([most, least]))), rng.uniform(0, 2 * np.pi)
-    return np.array([np.sqrt(1 - z * z) * np.cos(phi), np.sqrt(1 - z * z) * np.sin(phi), z])
+    return np.array(
+        [np.sqrt(1 - z * z) * np.cos(phi), np.sqrt(1 - z * z) * np.sin(phi), z]
+    )
 
 
 def by_hand(rng: np.random.Generator, most_deg: float) -> np.ndarray:
@@ -173,7 +175,9 @@ def scene(
     if kind == "light that swings":
         swing = np.radians(50) * np.sin(2 * np.pi * 0.3 * times + rng.uniform(0, 6))
         u = normalise(np.cross(d, [0.3, 0.2, 1]))
-        c = np.clip(np.cos(swing) * (normals @ d) + np.sin(swing) * (normals @ u), 0, None)
+        c = np.clip(
+            np.cos(swing) * (normals @ d) + np.sin(swing) * (normals @ u), 0, None
+        )
     if kind != "two lights":
         lamps = d[None]
     if kind == "dark":
@@ -210,7 +214,9 @@ def scene(
 
 def off_deg(f: LightFit, lamps: np.ndarray) -> float:
     """From the first light to the nearest lamp."""
-    return float(np.degrees(np.arccos(np.clip(lamps @ f.lights[0].direction, -1, 1))).min())
+    return float(
+        np.degrees(np.arccos(np.clip(lamps @ f.lights[0].direction, -1, 1))).min()
+    )
 
 
 def one_lamp_is_plain(normals: np.ndarray, lamps: np.ndarray) -> bool:
@@ -327,7 +333,9 @@ def test_what_cannot_be_known_is_refused(kind: str) -> None:
     assert not got.false, got.verdict_of()
 
 
-@pytest.mark.parametrize("kind", ["two lights", "exposure switched", "one of two switched"])
+@pytest.mark.parametrize(
+    "kind", ["two lights", "exposure switched", "one of two switched"]
+)
 def test_hard_ones_are_right_or_refused(kind: str) -> None:
     """Two lights 60 degrees apart: one of the two, never their middle."""
     got = run(kind, True, max(SCENES // 4, 1))

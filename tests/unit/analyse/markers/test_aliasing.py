@@ -19,7 +19,9 @@ TABLE = linear_table()
 CELLS = np.array([8])
 
 
-def dark_quad(quad: np.ndarray, size: int, point: bool, blur_px: float = 0.0) -> np.ndarray:
+def dark_quad(
+    quad: np.ndarray, size: int, point: bool, blur_px: float = 0.0
+) -> np.ndarray:
     """(size, size) uint8: a dark quad on white, exact area of each pixel covered, or what
     lies under the pixel's centre.
 
@@ -168,12 +170,16 @@ def test_frontal_40_px_print_without_any_blur_is_never_mirrored(seed: int) -> No
     for smoothed, limit_deg in ((False, 4.0), (True, 1.0)):
         for f, pose in zip(facts, truth, strict=True):
             got = f.camera_from_world if smoothed else f.raw_camera_from_world
-            assert got is not None and np.degrees(rotation_angle_rad(got, pose)) < limit_deg
+            assert (
+                got is not None and np.degrees(rotation_angle_rad(got, pose)) < limit_deg
+            )
 
 
 def test_blur_brings_the_next_cells_near_the_edge() -> None:
     quad = np.array([[[10.0, 10], [90, 10], [90, 90], [10, 90]]])
-    little, some, much = (shared_px(quad, np.array([b]), CELLS)[0] for b in (1.4, 2.5, 3.2))
+    little, some, much = (
+        shared_px(quad, np.array([b]), CELLS)[0] for b in (1.4, 2.5, 3.2)
+    )
     assert (
         little < 0.02 and 0.04 < some < 0.06 and 0.15 < much < 0.4
     )  # measured on drawn prints: tests/hard/pixels.py
@@ -182,7 +188,8 @@ def test_blur_brings_the_next_cells_near_the_edge() -> None:
 def test_a_print_turned_away_is_as_narrow_as_it_looks() -> None:
     """The window keeps off the inner cells of the narrow direction."""
     square, turned = (
-        np.array([[[10.0, 10], [90, 10], [90, 10 + h], [10, 10 + h]]]) for h in (80.0, 20.0)
+        np.array([[[10.0, 10], [90, 10], [90, 10 + h], [10, 10 + h]]])
+        for h in (80.0, 20.0)
     )
     assert (
         shared_px(turned, np.array([0.6]), CELLS)[0]

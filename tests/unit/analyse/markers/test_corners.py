@@ -112,10 +112,15 @@ def test_what_covers_part_of_a_side_moves_no_corner(grey: float, slant: float) -
             ]
         )
         code = cv2.fillPoly(
-            clear.copy(), [np.rint(hand * 16).astype(np.int32)], 255 * grey, cv2.LINE_AA, 4
+            clear.copy(),
+            [np.rint(hand * 16).astype(np.int32)],
+            255 * grey,
+            cv2.LINE_AA,
+            4,
         )
         luma = (
-            Transfer("srgb").encode(cv2.GaussianBlur(TABLE[code] / 255, (0, 0), 0.8)) * 255
+            Transfer("srgb").encode(cv2.GaussianBlur(TABLE[code] / 255, (0, 0), 0.8))
+            * 255
         )
         r = refine_corners(
             np.rint(luma).astype(np.uint8), truth[None] + 0.3, np.array([8]), TABLE
@@ -164,7 +169,9 @@ def test_sides_bent_by_the_lens_do_not_move_the_corners() -> None:
     with_lens = np.abs(
         refine_corners(image, quad, cells, table, bent).corners_px[0] - truth
     ).max()
-    without = np.abs(refine_corners(image, quad, cells, table).corners_px[0] - truth).max()
+    without = np.abs(
+        refine_corners(image, quad, cells, table).corners_px[0] - truth
+    ).max()
     assert with_lens < 0.2 and with_lens < without / 2, (with_lens, without)
 
 
@@ -261,7 +268,9 @@ def test_edge_domain_is_found_from_the_edges(linear: bool, expected: str) -> Non
 
 
 def test_edges_too_poor_to_tell_are_taken_for_light() -> None:
-    poor = Candidate("36h11", 1, np.array([[100.0, 60], [160, 60], [160, 120], [100, 120]]))
+    poor = Candidate(
+        "36h11", 1, np.array([[100.0, 60], [160, 60], [160, 120], [100, 120]])
+    )
     flat = np.full((240, 320), 90, np.uint8)
     _, skew = refine_found(flat, [poor], TABLE, CAM)
     assert np.isnan(skew).all()

@@ -28,7 +28,9 @@ def _misplaced(corners_px: np.ndarray, inverted: bool = False, **how: float) -> 
 
 @pytest.mark.parametrize("inverted", [False, True])
 @pytest.mark.parametrize("how", [{}, {"blur_px": 2.0}, {"noise": 8.0}])
-def test_right_corners_agree_with_the_cells(how: dict[str, float], inverted: bool) -> None:
+def test_right_corners_agree_with_the_cells(
+    how: dict[str, float], inverted: bool
+) -> None:
     assert _misplaced(_CORNERS, inverted, **how) == 0.0
 
 

@@ -12,7 +12,12 @@ import pytest
 
 from arfx.analyse.job import AnalysisFrame, AnalysisJob
 from arfx.analyse.markers.detect import Detection
-from arfx.analyse.markers.pattern import PatternPicture, check_turned, coded_luma, plausible
+from arfx.analyse.markers.pattern import (
+    PatternPicture,
+    check_turned,
+    coded_luma,
+    plausible,
+)
 from arfx.analyse.markers.pictured import PicturedPrints
 from arfx.analyse.markers.search import pattern_checks
 from arfx.analyse.markers.tracker import Tracker
@@ -146,7 +151,9 @@ def test_the_print_comes_back_after_a_loss(known: PatternPicture) -> None:
 def test_other_pictures_are_not_taken_for_it(known: PatternPicture) -> None:
     other = hung(CAM, poster(seed=9).mean(-1), PRINT.corners_m, place(1), BACK)
     mirrored = hung(CAM, GREY[:, ::-1].copy(), PRINT.corners_m, place(1), BACK)
-    assert tracked(known, [picture(CAM, [], 0.8 * view) for view in (other, mirrored)]) == [
+    assert tracked(
+        known, [picture(CAM, [], 0.8 * view) for view in (other, mirrored)]
+    ) == [
         None,
         None,
     ]
@@ -154,7 +161,9 @@ def test_other_pictures_are_not_taken_for_it(known: PatternPicture) -> None:
 
 def test_a_quad_of_the_back_or_without_extent_is_no_print() -> None:
     quad = np.array([[10.0, 10], [110, 12], [108, 90], [9, 88]])
-    assert plausible(quad) and not plausible(quad[::-1]) and not plausible(quad * [1, 0.01])
+    assert (
+        plausible(quad) and not plausible(quad[::-1]) and not plausible(quad * [1, 0.01])
+    )
     assert not plausible(quad[[0, 2, 1, 3]]) and not plausible(np.full((4, 2), np.nan))
 
 
@@ -194,7 +203,9 @@ def test_a_print_that_is_not_flat_is_told_by_its_misfit(bend: float, flat: bool)
         analyser.step(AnalysisFrame(k, k / 25, picture(CAM, [], 0.8 * view, 1.5, 0.6, k)))
     clip = analyser.finish()
     (check,) = pattern_checks(clip.summary)
-    assert check.ok == flat and check.name.startswith(PRINT.key) and "flat" in check.action
+    assert (
+        check.ok == flat and check.name.startswith(PRINT.key) and "flat" in check.action
+    )
 
 
 def test_a_print_that_is_never_seen_is_said() -> None:

@@ -28,7 +28,9 @@ Z = 900 * 0.1 / 70
 
 
 def at(x_px: float, y_px: float, turn: float = 0.2) -> Pose:
-    return tilted([turn, 0.1, 0], [(x_px - CAM.cx) / 900 * Z, (y_px - CAM.cy) / 900 * Z, Z])
+    return tilted(
+        [turn, 0.1, 0], [(x_px - CAM.cx) / 900 * Z, (y_px - CAM.cy) / 900 * Z, Z]
+    )
 
 
 def frame(*markers: tuple[MarkerSpec, Pose], seed: int = 0, **how: object) -> np.ndarray:
@@ -86,7 +88,8 @@ def test_tracked_marker_costs_a_part_and_a_lost_one_is_searched_whole() -> None:
     )  # out of its part: the same frame is searched whole
     assert jump.whole and len(jump.sightings) == 1
     empty = [
-        (tracker.step((13 + k) / 30, frame(seed=k)), tracker.searched_px) for k in range(60)
+        (tracker.step((13 + k) / 30, frame(seed=k)), tracker.searched_px)
+        for k in range(60)
     ]
     assert 5 <= sum(f.whole for f, _ in empty) <= 5 + 3 and all(
         f.whole for f, _ in empty[:5]
@@ -221,7 +224,9 @@ def test_no_configured_marker_says_what_is_there_instead() -> None:
         b.finish()
     photo = Observed(AnalysisJob((MarkerSpec("5X5_50", 2, 0.1),), CAM))
     photo.step(AnalysisFrame(0, 0.0, frame((M, at(300, 200)))))
-    with pytest.raises(NothingToDoError, match=r"other dictionaries saw: 36h11:3 \(1 of 1"):
+    with pytest.raises(
+        NothingToDoError, match=r"other dictionaries saw: 36h11:3 \(1 of 1"
+    ):
         photo.finish()
     c = Observed(AnalysisJob((M,), CAM))
     c.step(AnalysisFrame(0, 0.0, frame()))

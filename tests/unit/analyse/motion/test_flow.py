@@ -106,7 +106,9 @@ def test_the_field_follows_true_motion(path: Callable[[int], np.ndarray]) -> Non
     u, v = field_of(facts[-1])
     gx, gy = np.moveaxis(node_positions(W, H), -1, 0)
     now, first = (np.vstack([path(t), [0, 0, 1]]) for t in (n - 1, 0))
-    true = np.linalg.inv(first) @ now @ np.stack([gx.ravel(), gy.ravel(), np.ones(gx.size)])
+    true = (
+        np.linalg.inv(first) @ now @ np.stack([gx.ravel(), gy.ravel(), np.ones(gx.size)])
+    )
     missed = np.hypot(u.ravel() - true[0], v.ravel() - true[1])
     inside = ((gx >= 0) & (gx < W) & (gy >= 0) & (gy < H)).ravel()
     assert np.median(missed[inside]) < 0.15 and missed[inside].max() < 0.3
@@ -118,7 +120,9 @@ def test_nodes_are_moved_by_exact_shifts_to_a_tenth_of_a_pixel(
     move_px: tuple[float, float], brighter: int
 ) -> None:
     g = np.random.default_rng(0)
-    world = cv2.GaussianBlur(g.standard_normal((4 * H + 200, 4 * W + 200)), (0, 0), 10) * 10
+    world = (
+        cv2.GaussianBlur(g.standard_normal((4 * H + 200, 4 * W + 200)), (0, 0), 10) * 10
+    )
 
     def seen(by_px: tuple[float, float]) -> np.ndarray:
         x, y = (round(4 * (d + 20)) for d in by_px)
@@ -150,7 +154,9 @@ def test_a_new_set_only_where_the_picture_moved() -> None:
 
 def test_a_cut_begins_anew_whether_or_not_the_flow_noticed() -> None:
     a, b = texture(1), texture(2)
-    frames = [view(a, pan(t), t) for t in range(4)] + [view(b, pan(t), t) for t in range(4)]
+    frames = [view(a, pan(t), t) for t in range(4)] + [
+        view(b, pan(t), t) for t in range(4)
+    ]
     for cut in (4, 2):  # as the flow sees it, and between two frames that are alike
         facts = facts_of(folded(frames), 8, cut=cut)
         u = [field_of(f)[0] for f in facts]
@@ -245,7 +251,9 @@ def test_the_stage_reads_what_is_written_and_json_keeps_it() -> None:
     where, pose = reader.frame_field(back, scene(camera(W, H)), 8.0, 0.5)
     assert pose is None and where.u.shape == node_positions(W, H).shape[:2]
     assert where.x0 == node_positions(W, H)[0, 0, 0]
-    assert np.median(where.u - node_positions(W, H)[..., 0]) == pytest.approx(7.5, abs=0.4)
+    assert np.median(where.u - node_positions(W, H)[..., 0]) == pytest.approx(
+        7.5, abs=0.4
+    )
 
 
 def test_detail_goes_with_the_things_and_holds_still() -> None:

@@ -57,7 +57,9 @@ def chain(
 ) -> Chain:
     links = np.concatenate([before, after], -1)
     firm = information_of_noise(dt_s)
-    return Chain(measured, pull, links, offset, firm, shake, least_density(measured, firm))
+    return Chain(
+        measured, pull, links, offset, firm, shake, least_density(measured, firm)
+    )
 
 
 def dense(measured: np.ndarray, pull: np.ndarray, before: np.ndarray, after: np.ndarray, offset: np.ndarray,
@@ -96,7 +98,9 @@ def test_smoother_and_evidence_are_those_of_the_whole_problem() -> None:
     measured, pull, before, after, offset, density, shake = problem()
     seen = chain(measured, pull, before, after, offset, DT, shake)
     mean, cov = smoothed(seen, density)
-    expected, dense_cov, log = dense(measured, pull, before, after, offset, density, shake)
+    expected, dense_cov, log = dense(
+        measured, pull, before, after, offset, density, shake
+    )
     np.testing.assert_allclose(mean, expected, rtol=1e-5, atol=5e-6)
     for k in range(N):
         s = slice(k * DIM, (k + 1) * DIM)

@@ -90,7 +90,11 @@ def test_moving_markers_come_out_truer_than_single_frames_and_in_time(name: str)
     point = np.array([0.05, 0.05, 0.1])
     want = np.array([p.apply(point) for p in truth])
     got = np.array(
-        [f.camera_from_world.apply(point) for f in facts if f.camera_from_world is not None]
+        [
+            f.camera_from_world.apply(point)
+            for f in facts
+            if f.camera_from_world is not None
+        ]
     )
     speed = np.gradient(want, axis=0)
     lag_frames = -((got - want) * speed).sum() / (speed**2).sum()

@@ -44,8 +44,12 @@ CAM = camera(640, 480, 800.0)
 A, B, C = (MarkerSpec("36h11", i, 0.1) for i in (1, 2, 3))
 LAYOUT = {
     A: Pose.identity(),
-    B: Pose(rotation_from_rotvec(np.array([0.1, 0.5, 0.2])), np.array([0.25, 0.03, 0.05])),
-    C: Pose(rotation_from_rotvec(np.array([-0.4, 0.1, -0.3])), np.array([0.1, 0.2, -0.04])),
+    B: Pose(
+        rotation_from_rotvec(np.array([0.1, 0.5, 0.2])), np.array([0.25, 0.03, 0.05])
+    ),
+    C: Pose(
+        rotation_from_rotvec(np.array([-0.4, 0.1, -0.3])), np.array([0.1, 0.2, -0.04])
+    ),
 }
 N = 60
 T = np.arange(N) / 30
@@ -55,7 +59,9 @@ ORBIT = [
 ]
 PARAMS = AnalyseParams(static="camera")
 # a print somewhere outside of the picture
-FAR = Sighting(0, ANY, False, 0.0, Detection("far", np.full((4, 2), 9e3), 0.1, 0.6, False))
+FAR = Sighting(
+    0, ANY, False, 0.0, Detection("far", np.full((4, 2), 9e3), 0.1, 0.6, False)
+)
 
 
 def test_unknown_layout_is_mapped_from_pairs_seen_together() -> None:
@@ -79,7 +85,9 @@ def test_unknown_layout_is_mapped_from_pairs_seen_together() -> None:
 def test_marker_never_seen_with_others_is_left_out_and_named() -> None:
     rec = records(CAM, ORBIT, T, LAYOUT, 0.1, visible=lambda k, m: (m is C) == (k > 30))
     a = solve_poses(rec, [A, B, C], CAM, PARAMS, None, [])
-    assert set(a.world_from_marker) == {A.key, B.key} and any(C.key in n for n in a.notices)
+    assert set(a.world_from_marker) == {A.key, B.key} and any(
+        C.key in n for n in a.notices
+    )
     assert {f.status for f in a.facts[31:]} == {"absent"}
 
 
@@ -111,7 +119,9 @@ def test_given_map_is_taken_and_a_contradicting_print_is_not_used() -> None:
         ),
     )
     rec[20] = Record(20, rec[20].time_s, seen, (), False, rec[20].thumbnail)
-    a = solve_poses(rec, [A, B, C], CAM, PARAMS, {m.key: p for m, p in LAYOUT.items()}, [])
+    a = solve_poses(
+        rec, [A, B, C], CAM, PARAMS, {m.key: p for m, p in LAYOUT.items()}, []
+    )
     assert a.summary["map"]["given"] and a.summary["dropped"] == 1
     assert np.degrees(rotation_angle_rad(a.facts[20].camera_from_world, ORBIT[20])) < 0.3  # type: ignore[arg-type]
 
@@ -150,7 +160,9 @@ def test_what_corners_are_misplaced_by_is_not_averaged_away() -> None:
                 rec[k], detections=(replace(rec[k].detections[0], misplaced_px=0.4),)
             )
         facts = solve_poses(rec, [A], CAM, PARAMS, None, []).facts
-        return np.array([1e3 * np.sqrt(np.trace(f.pose_covariance[3:, 3:])) for f in facts])  # type: ignore[index]
+        return np.array(
+            [1e3 * np.sqrt(np.trace(f.pose_covariance[3:, 3:])) for f in facts]
+        )  # type: ignore[index]
 
     clear, some, many = stated_mm(0, 0), stated_mm(29, 33), stated_mm(20, 40)
     assert (many[20:40] > 0.8 * some[29]).all(), (
@@ -195,7 +207,8 @@ def test_path_is_the_cheapest_of_all() -> None:
         for k in range(5):
             a, b = poses[k][path[k]], poses[k + 1][path[k + 1]]
             arrays = (
-                v[None] for v in (a.rotation, a.translation_m, b.rotation, b.translation_m)
+                v[None]
+                for v in (a.rotation, a.translation_m, b.rotation, b.translation_m)
             )
             total += move_costs(*arrays, times[k + 1] - times[k])[0]
         return float(total)
@@ -256,7 +269,22 @@ def test_the_midst_of_a_quick_move_is_no_cut() -> None:
         0.04,
         0.12,
     ]
-    last = [0.0, 0.0, 0.73, 0.58, 0.3, 0.52, 0.68, 0.74, 0.77, 0.69, 0.29, 0.09, 0.09, 0.23]
+    last = [
+        0.0,
+        0.0,
+        0.73,
+        0.58,
+        0.3,
+        0.52,
+        0.68,
+        0.74,
+        0.77,
+        0.69,
+        0.29,
+        0.09,
+        0.09,
+        0.23,
+    ]
     assert find_cuts(before, last, [False] * len(before)) == []
     before[7], last[8] = 1.0, 1.0  # the same with a cut in it
     before[6] = before[8] = 0.3
@@ -298,7 +326,10 @@ def test_presence_and_fades() -> None:
 
 def static_clip(kind: str) -> tuple[str, dict[str, float]]:
     """A textured wall and a marker before it; kind says what stands still."""
-    wall, wall_m = background(900, 700, 3) * 255, 1.25 if kind == "marker, orbited" else 2.0
+    wall, wall_m = (
+        background(900, 700, 3) * 255,
+        1.25 if kind == "marker, orbited" else 2.0,
+    )
     poses, flow = {}, BackgroundFlow(30)
     h0 = np.array(
         [[900 / 2.4, 0, 450], [0, 900 / 2.4, 350], [0, 0, 1.0]]
@@ -318,7 +349,8 @@ def static_clip(kind: str) -> tuple[str, dict[str, float]]:
         room_from_marker = tilted([0.3, 0.1, 0], [0.1, 0.05, 1.2])
         if not kind.startswith("marker"):
             room_from_marker = tilted(
-                [0.3 + 0.5 * np.sin(4 * a), 0.1, 0], [0.1 + 0.2 * np.sin(5 * a), 0.05, 1.2]
+                [0.3 + 0.5 * np.sin(4 * a), 0.1, 0],
+                [0.1 + 0.2 * np.sin(5 * a), 0.05, 1.2],
             )
         poses[k] = camera_from_room @ room_from_marker
         plane = np.column_stack(
