@@ -15,8 +15,8 @@ PYTEST = $(BIN)/python -m pytest -v -rfEs -n $(JOBS) --dist worksteal --duration
 help:
 	@echo "make demo    makes a sample clip, puts a model on its marker, writes demo/"
 	@echo "make test    all tests (TESTS=tests/unit for some)"
-	@echo "make check   formatting, lint, types, all tests, a minute of make fuzz: what CI runs"
-	@echo "make fuzz    10,000 hostile inputs, faults, kills and signals (CASES=, SEED=)"
+	@echo "make check   formatting, lint, types, all tests, a minute of hostile inputs: what CI runs"
+	@echo "make fuzz    new random examples of every property; 10,000 hostile inputs, faults, kills and signals (CASES=, SEED=)"
 	@echo "make bench   cost of whole jobs against a plain decode and encode, in one run"
 	@echo "make hard    every hard scene, stated hard case, sweep and clip towards a singularity: one table, hard/table.md"
 	@echo "make errors  measures the errors of all levels that are shipped: a table, plots and arfx/plan/default_errors.json"
@@ -46,6 +46,7 @@ check: lint
 	$(BIN)/python -m tests.fuzz --seconds 60 --seed $(SEED)
 
 fuzz: venv
+	$(PYTEST) tests/property --hypothesis-profile default
 	$(BIN)/python -m tests.fuzz --cases $(CASES) --seed $(SEED)
 
 bench: venv

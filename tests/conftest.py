@@ -14,9 +14,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import pytest
 
 from arfx.errors import RenderError
+
+# `make check` tries the same examples every time: what it says of one commit does not change
+# from run to run. `make fuzz` looks for new ones.
+hypothesis.settings.register_profile("check", derandomize=True)
+hypothesis.settings.load_profile("check")
 
 # As `arfx` does, before numpy reads it: two test processes with a pool of threads each get
 # in each other's way.

@@ -46,6 +46,7 @@ def seen(pose: Pose, cam: Camera) -> tuple[np.ndarray, np.ndarray]:
 @example(0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
 @example(0.0, 0.9375, 0.0, 0.0, 0.0, 4.0)  # turned about an axis of its own
 @example(0.0, -1.0, 0.0, -0.25, 0.125, 3.0)  # the same, where IPPE knows one of two alone
+@example(0.0, -1.0, 0.0, -0.0625, 0.0, 4.0)  # and none
 def test_truth_is_among_the_planar_poses(
     a: float, b: float, c: float, x: float, y: float, z: float
 ) -> None:

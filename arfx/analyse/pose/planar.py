@@ -245,8 +245,11 @@ def planar_poses(
     at = np.flatnonzero(np.isfinite(ideal).all((1, 2)))
     if not len(at):
         return out
-    points, ideal, px_per_ideal = np.asarray(corners_m)[at], ideal[at], px_per_ideal[at]
+    points, ideal = np.asarray(corners_m)[at], ideal[at]
     n = len(points)
+    seen = Observed(
+        points, ideal, px_per_ideal[at], np.repeat(sigma_px[at, None] ** -2.0, 4, 1)
+    )
     solved = [both_poses(*one) for one in zip(points, ideal, strict=True)]
     of = np.repeat(np.arange(n), [*map(len, solved)])
     rotvec, translation = np.concatenate(solved).swapaxes(0, 1)
@@ -255,27 +258,44 @@ def planar_poses(
     # IPPE returns rubbish for a marker that faces the camera, or is parallel to the
     # picture, exactly: starts of their own
     ray = np.concatenate([ideal.mean(1), np.ones((n, 1))], 1)
-    # and, where it returns one alone, its twin: the same but for depth, mirrored in its middle
-    alone = ahead & (np.bincount(of[ahead], minlength=n)[of] == 1)
-    starts = [
-        (rotation[ahead], translation[ahead]),
-        (_mirrored(rotation[alone], translation[alone]), translation[alone]),
-    ]
+    starts = [(rotation[ahead], translation[ahead])]
     starts += [
         frontal_poses(points, ideal, d)
         for d in (ray, np.broadcast_to([0.0, 0.0, 1.0], (n, 3)))
     ]
-    owner = np.concatenate([of[ahead], of[alone], np.arange(n), np.arange(n)])
+    owner = np.concatenate([of[ahead], np.arange(n), np.arange(n)])
     rotation, translation = (np.concatenate(parts) for parts in zip(*starts, strict=True))
-    seen = Observed(
-        points[owner],
-        ideal[owner],
-        px_per_ideal[owner],
-        np.repeat(sigma_px[at][owner, None] ** -2.0, 4, 1),
-    )
+    poses = _refined(rotation, translation, seen.take(owner))
+    chosen = _two_best(owner, poses, n)
+    # and rubbish for one turned about an axis of its own: where one pose alone is found, its
+    # twin is looked for, the same but for depth, mirrored in its middle
+    alone = np.flatnonzero((chosen[:, 0] >= 0) & (chosen[:, 1] < 0))
+    rotation, translation, _ = (part[chosen[alone, 0]] for part in poses)
+    twins = _refined(_mirrored(rotation, translation), translation, seen.take(alone))
+    poses = [np.concatenate(parts) for parts in zip(poses, twins, strict=True)]
+    chosen = _two_best(np.concatenate([owner, alone]), poses, n)
+    known = chosen >= 0
+    for whole, values in zip(out, poses, strict=True):
+        part = whole[at]
+        part[known] = values[chosen[known]]
+        whole[at] = part
+    return out
+
+
+def _refined(
+    rotation: np.ndarray, translation: np.ndarray, seen: Observed
+) -> list[np.ndarray]:
+    """Rotation, translation and the error in px, infinite for one out of sight."""
     rotation, translation, _ = refine_poses(rotation, translation, seen, iterations=80)
     error = rms_px(residuals(rotation, translation, seen), seen.weight)
     error[~(_in_sight(rotation, translation) & np.isfinite(error))] = np.inf
+    return [rotation, translation, error]
+
+
+def _two_best(owner: np.ndarray, poses: list[np.ndarray], n: int) -> np.ndarray:
+    """(n, 2) which of the poses, by owner, are best and best of those that differ from it;
+    -1: none."""
+    rotation, _, error = poses
     # worst first: of those assigned to one place the last one stays
     order = np.lexsort((error, owner))[::-1]
     order = order[np.isfinite(error[order])]
@@ -286,10 +306,4 @@ def planar_poses(
     away = ((rotation[order] - rotation[best[owner[order]]]) ** 2).sum((1, 2))
     order = order[away > apart]
     other[owner[order]] = order
-    chosen = np.stack([best, other], 1)
-    known = chosen >= 0
-    for whole, values in zip(out, (rotation, translation, error), strict=True):
-        part = whole[at]
-        part[known] = values[chosen[known]]
-        whole[at] = part
-    return out
+    return np.stack([best, other], 1)
