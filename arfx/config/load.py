@@ -10,6 +10,7 @@ import os
 from collections.abc import Mapping, Sequence
 from functools import cache, lru_cache, reduce
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from pydantic import Field, ValidationError, create_model
@@ -53,12 +54,14 @@ def load(
     files: Path | Sequence[Path | JobFile] | None,
     overrides: Mapping[str, Any],
     parameters: Parameters,
+    broken: Mapping[str, ConfigError] = MappingProxyType({}),
 ) -> JobConfig:
     """Read a job.
     files : job file or several; key by key the later wins;  overrides : nested mapping from
     the command line, which wins over all
     parameters : section name -> formula -> model of its settings, for every stage, "analyse"
     and "light"; the usual formula first
+    broken : stages that cannot be loaded, with what is wrong
     Raises ConfigError holding every problem found; InputError if a file cannot be read."""
     named = [files] if isinstance(files, Path) else files or ()
     read = [
@@ -82,6 +85,8 @@ def load(
 
     def unknown(path: KeyPath) -> None:
         name, key = path[0], path[-1]
+        if name in broken:
+            return problem(path, broken[str(name)].message, broken[str(name)].hint)
         if len(path) == 1:
             known = suggestion(str(name), model.model_fields)
             return problem(path, f"there is no section or stage {name!r}", known)

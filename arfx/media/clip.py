@@ -319,6 +319,10 @@ def _info(
     of_video = duration is not None or len(container.streams) == 1
     if duration is None and container.duration:
         duration = Fraction(container.duration, av.time_base)
+    start_pts = first.pts if first.pts is not None else (first.dts or 0)
+    start = start_pts * Fraction(stream.time_base)
+    if "matroska" in container.format.name and duration and duration > start > 0:
+        duration -= start  # there it is counted from 0, not from the first frame
     rate = stream.average_rate or stream.guessed_rate
     return ClipInfo(
         path,
@@ -343,7 +347,7 @@ def _info(
         transfer,
         turn,
         sample if sample != 1 else None,
-        first.pts if first.pts is not None else (first.dts or 0),
+        start_pts,
         stream.frames or None,
         None if duration is None else float(duration),
         of_video,

@@ -149,6 +149,7 @@ def job_config(given: dict[str, Any], more: Sequence[JobFile] = ()) -> JobConfig
     from arfx.config.given import overrides, section_overrides
     from arfx.config.load import find_job_file, load
     from arfx.run.parameters import parameters, pipeline
+    from arfx.stages import STAGES
 
     kinds = parameters()
     formulas = [name for name, by_formula in kinds.items() if len(by_formula) > 1]
@@ -156,9 +157,11 @@ def job_config(given: dict[str, Any], more: Sequence[JobFile] = ()) -> JobConfig
         itertools.chain(section_overrides(given), _of_stages(given, formulas)),
         given["set"],
     )
-    config = load(
-        [*(find_job_file(file) for file in given["config"]), *more], tree, kinds
-    )
+    files: list[Path | JobFile] = [
+        *(find_job_file(file) for file in given["config"]),
+        *more,
+    ]
+    config = load(files, tree, kinds, STAGES.broken)
     pipeline(config)
     return config
 

@@ -380,3 +380,12 @@ def test_settings_of_a_dataclass_are_finite(value: float) -> None:
     table = {"grain": {"corrected": from_dataclass(OldGrain)}}
     with pytest.raises(ConfigError, match=r"grain\.strength: .*finite"):
         load(None, {"grain": {"strength": value}}, table)
+
+
+def test_a_table_of_a_stage_that_cannot_be_loaded_says_why(tmp_path: Path) -> None:
+    why = ConfigError("stage 'mist' of one 1.2 cannot be loaded", "uninstall it")
+    file = write(tmp_path, "[mist]\ndensity = 1\n")
+    with pytest.raises(ConfigError, match=r"(?s)mist.*cannot be loaded.*job.toml.*unin"):
+        load(file, {}, TABLE, {"mist": why})
+    with pytest.raises(ConfigError, match="no section or stage 'mist'"):
+        load(file, {}, TABLE)

@@ -191,3 +191,14 @@ def test_pictures_with_exif_in_motion_jpeg_are_read_and_turned(
         ).mean()
         < 2
     )
+
+
+@pytest.mark.parametrize("start_s", [0, 2, 500_000])
+def test_a_matroska_clip_may_begin_at_any_time(tmp_path: Path, start_s: int) -> None:
+    pts = [1000 * start_s + 40 * i for i in range(12)]
+    path = make_clip(tmp_path / "a.mkv", pts, time_base=Fraction(1, 1000))
+    info = probe(path)
+    assert info.duration_s == pytest.approx(0.48, abs=0.05)
+    with ClipReader(info) as reader:
+        assert [frame.pts for frame in reader.frames()] == pts
+    assert reader.truncated is None
