@@ -24,7 +24,6 @@ from arfx.core import compiled, interrupt
 from arfx.core.machine import usable_cores
 from arfx.core.waiting import Notice, Progress
 from arfx.errors import RenderError
-from arfx.run.compiler import compile_kernels_only
 from arfx.run.executors import Processes, run_serial
 
 COMPILE = "compile"  # the phase that progress is reported for
@@ -156,9 +155,7 @@ def compile_missing(
 def _compile(
     kernels: Sequence[Kernel], tick: Callable[[], None], alone: bool = False
 ) -> dict[str, Any]:
-    """Compile and keep these. alone : in a process that calls them, too"""
-    if not alone:
-        compile_kernels_only()
+    """Compile and keep these."""
     _AHEAD.set()
     for kernel in kernels:
         # an error is raised again where it is called
