@@ -66,14 +66,13 @@ def load_camera(path: str | Path) -> Camera:
     try:
         document = read_document(file)
         cameras = {
-            name: entry
+            str(name): entry
             for name, entry in document.items()
             if isinstance(entry, Mapping) and "intrinsics" in entry
         }
-        if chosen and chosen not in cameras:
-            raise CameraFileError(
-                f"no camera {chosen!r}", "it holds " + ", ".join(cameras)
-            )
+        if cameras and chosen not in ("", *cameras):
+            what = f"no camera {chosen!r}"
+            raise CameraFileError(what, f"it holds {', '.join(cameras)}")
         if not chosen and len(cameras) > 1:
             what = f"it holds {len(cameras)} cameras: {', '.join(cameras)}"
             raise CameraFileError(what, f"choose one: {path}#{next(iter(cameras))}")
@@ -139,11 +138,11 @@ def _size(flat: Mapping[str, Any]) -> tuple[int, int]:
         raise CameraFileError(
             "it does not state the picture size that it was made for", hint
         )
-    width, height = numbers(stated, "the picture size")
-    if not (width.is_integer() and height.is_integer()):
+    sides = numbers(stated, "the picture size")
+    if [side.is_integer() for side in sides] != [True, True]:
         what = "picture size {} x {}".format(*stated)
         raise CameraFileError(what, "two whole numbers of pixels")
-    return int(width), int(height)
+    return int(sides[0]), int(sides[1])
 
 
 def _flat(document: Mapping[str, Any]) -> dict[str, Any]:

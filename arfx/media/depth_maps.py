@@ -273,12 +273,10 @@ def open_depth(
     return DepthMaps(path, tuple(sorted(found, key=_natural)), steps_per_m, None)
 
 
-def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
+def _natural(path: Path) -> tuple[list[int | str], str]:
     """2 before 10."""
-    return [
-        (int(n), "") if n else (-1, text)
-        for n, text in re.findall(r"(\d+)|(\D+)", path.stem)
-    ], path.name
+    parts = re.split(r"(\d+)", path.stem)
+    return [int(p) if p.isdecimal() else p for p in parts], path.name
 
 
 def fill_holes(depth_m: np.ndarray, guide: np.ndarray) -> np.ndarray:

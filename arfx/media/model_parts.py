@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from arfx.core.model import Material, Part
-from arfx.core.numerics import normalise
+from arfx.core.numerics import normalise, same_rows
 from arfx.errors import InputError
-from arfx.media.model_normals import smooth_by_angle, with_tangents
+from arfx.media.model_normals import corner_normals, corner_tangents
 
 # Squared double area below which a triangle has no plane, as a fraction of the model's extent to
 # the fourth power: float32 coordinates are exact to 6e-8 of the extent, a height below is rounding.
@@ -55,28 +55,38 @@ def part_of(
     faces = faces[keep]
     if not len(faces):
         return None, lost
-    if mesh.face_colours is not None:  # no corner can be shared
-        rows = _of_vertices(rows, faces.ravel())
-        rows["colours"] = np.repeat(mesh.face_colours[keep], 3, 0)
-        faces = np.arange(faces.size).reshape(-1, 3)
+    if mesh.face_colours is not None:
+        colours = np.repeat(mesh.face_colours[keep], 3, 0)
+        faces, rows = _split(faces, rows, "colours", colours)
     if "normals" in rows:
-        rows["normals"] = normalise(rows["normals"] @ (side * _cofactors(linear)).T)
-    if "normals" not in rows or not (np.abs(rows["normals"][faces]).sum(-1) > 0).all():
+        # the inverse transpose turns normals rightly under any matrix; times the determinant
+        # it is there for every one, and a mirror's turns them inwards
+        cofactors = np.cross(linear[[1, 2, 0]], linear[[2, 0, 1]])
+        rows["normals"] = normalise(rows["normals"] @ (side * cofactors).T)
+    if "normals" not in rows or not rows["normals"][faces].any(-1).all():
         rows.pop("tangents", None)  # they belong to the file's normals
-        split = not rows.keys().isdisjoint(("uv", "second_uv", "colours"))
-        faces, source, normals = smooth_by_angle(rows["vertices"], faces, split)
-        rows = _of_vertices(rows, source) | {"normals": normals}
-    if "tangents" in rows:
+        rows.pop("normals", None)
+        if len(rows) == 1:  # nothing else keeps vertices at one place apart
+            first, number = same_rows(rows["vertices"])
+            rows, faces = {"vertices": rows["vertices"][first]}, number[faces]
+        normals = corner_normals(rows["vertices"], faces)
+        faces, rows = _split(faces, rows, "normals", normals)
+    texture = material.normal_texture or material.clearcoat_normal_texture
+    part = Part(faces=faces, material=material, **rows)
+    uv = None if texture is None else part.uv_on(texture)
+    if uv is None:
+        rows.pop("tangents", None)
+    elif "tangents" in rows:
         along = normalise(rows["tangents"][:, :3] @ linear.T)
-        rows["tangents"] = np.column_stack(
-            [along, side * np.sign(rows["tangents"][:, 3])]
-        )
-    used, faces = np.unique(faces, return_inverse=True)
-    faces = faces.reshape(-1, 3).astype(np.int32)
-    return (
-        with_tangents(Part(faces=faces, material=material, **_of_vertices(rows, used))),
-        lost,
-    )
+        signs = side * np.sign(rows["tangents"][:, 3])
+        rows["tangents"] = np.column_stack([along, signs])
+    else:
+        tangents = corner_tangents(rows["vertices"], faces, rows["normals"], uv)
+        faces, rows = _split(faces, rows, "tangents", tangents)
+    used, number = np.unique(faces, return_inverse=True)
+    rows = {name: values[used] for name, values in rows.items()}
+    faces = number.reshape(-1, 3).astype(np.int32)
+    return Part(faces=faces, material=material, **rows), lost
 
 
 def _check(mesh: FileMesh, model_from_mesh: np.ndarray, path: Path) -> None:
@@ -109,13 +119,11 @@ def _have_area(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.asarray((np.cross(b - a, c - a) ** 2).sum(1) > _DEGENERATE * extent**4)
 
 
-def _of_vertices(rows: dict[str, np.ndarray], which: np.ndarray) -> dict[str, np.ndarray]:
-    return {name: values[which] for name, values in rows.items()}
-
-
-def _cofactors(linear: np.ndarray) -> np.ndarray:
-    """The inverse transpose times the determinant: turns normals rightly under any matrix.
-
-    A mirror turns them inwards: times -1 they keep to the outside."""
-    x, y, z = linear
-    return np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)])
+def _split(
+    faces: np.ndarray, rows: dict[str, np.ndarray], name: str, values: np.ndarray
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Faces and rows of vertices of which each has one of the values (3 m, k) of its corners."""
+    corners = faces.ravel()
+    first, number = same_rows(np.column_stack([corners, values]))
+    rows = {name: given[corners[first]] for name, given in rows.items()}
+    return number.reshape(-1, 3), rows | {name: values[first]}
