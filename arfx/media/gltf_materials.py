@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from arfx.core.colour import SRGB
-from arfx.core.model import BLEND, CLAMP, MASK, MIRROR, OPAQUE, REPEAT, Material, Texture
+from arfx.core.model import CLAMP, MIRROR, OPAQUE, REPEAT, Material, Texture
 from arfx.media.gltf import Buffers
 from arfx.media.model_files import ModelFile
-from arfx.media.model_materials import check_material, resized, unit
+from arfx.media.model_materials import checked, resized
 
 _WRAPS = {33071: CLAMP, 33648: MIRROR}
 _NEAREST = 9728
@@ -35,18 +35,22 @@ _TEXTURES = {
     "sheen_colour_texture": f"{_SHEEN}ColorTexture",
     "sheen_roughness_texture": f"{_SHEEN}RoughnessTexture",
 }
-# With the default; 0 to 1.
-_FACTORS = {
+# With the default.
+_NUMBERS = {
     "metallic": ("pbrMetallicRoughness/metallicFactor", 1.0),
     "roughness": ("pbrMetallicRoughness/roughnessFactor", 1.0),
     "clearcoat": (f"{_COAT}Factor", 0.0),
     "clearcoat_roughness": (f"{_COAT}RoughnessFactor", 0.0),
     "sheen_roughness": (f"{_SHEEN}RoughnessFactor", 0.0),
+    "normal_scale": ("normalTexture/scale", 1.0),
+    "occlusion_strength": ("occlusionTexture/strength", 1.0),
+    "clearcoat_normal_scale": (f"{_COAT}NormalTexture/scale", 1.0),
+    "alpha_cutoff": ("alphaCutoff", 0.5),
 }
-_SCALES = {
-    "normal_scale": "normalTexture/scale",
-    "occlusion_strength": "occlusionTexture/strength",
-    "clearcoat_normal_scale": f"{_COAT}NormalTexture/scale",
+_COLOURS = {
+    "base_colour": ("pbrMetallicRoughness/baseColorFactor", (1, 1, 1, 1)),
+    "emissive": ("emissiveFactor", (0, 0, 0)),
+    "sheen_colour": (f"{_SHEEN}ColorFactor", (0, 0, 0)),
 }
 _TINTS = ("specularTexture", "specularColorTexture", "specularColorFactor")
 
@@ -66,40 +70,34 @@ class GltfMaterials:
         """Raises InputError: a texture is too large or damaged, a number out of range."""
         given = self._header["materials"][number]
         extensions = given.get("extensions", {})
-        mode = str(given.get("alphaMode", OPAQUE)).upper()
-        base = _stated(given, "pbrMetallicRoughness/baseColorFactor", (1, 1, 1, 1))
-        red, green, blue, alpha = map(float, base)
-        fields: dict[str, Any] = {"base_colour": (red, green, blue, alpha)}
-        for name, path in _TEXTURES.items():
-            fields[name] = self._texture(_stated(given, path))
-        for name, (path, default) in _FACTORS.items():
-            fields[name] = unit(_stated(given, path, default))
-        for name, path in _SCALES.items():
-            fields[name] = float(_stated(given, path, 1))
+        fields: dict[str, Any] = {
+            name: self._texture(_stated(given, path)) for name, path in _TEXTURES.items()
+        }
+        for name, (path, number_default) in _NUMBERS.items():
+            fields[name] = float(_stated(given, path, number_default))
+        for name, (path, default) in _COLOURS.items():
+            fields[name] = tuple(map(float, _stated(given, path, default)))
         glossy = extensions.get("KHR_materials_pbrSpecularGlossiness")
         if glossy is not None:
             fields |= self._glossy(glossy)
         strength = _stated(
             extensions, "KHR_materials_emissive_strength/emissiveStrength", 1
         )
-        emissive = _colour(given.get("emissiveFactor", (0, 0, 0)), strength)
-        if not any(emissive):
+        fields["emissive"] = tuple(float(strength) * v for v in fields["emissive"])
+        if not any(fields["emissive"]):
             fields["emissive_texture"] = None
         if fields["clearcoat_normal_texture"] is not None:
             self._file.notices.append("left out bumps of clear coat: it lies evenly")
         material = Material(
             name=f"{given.get('name', 'material')} {number}",
-            emissive=emissive,
             specular=self._specular(extensions),
-            sheen_colour=_colour(_stated(given, f"{_SHEEN}ColorFactor", (0, 0, 0))),
-            alpha_mode=mode if mode in (OPAQUE, MASK, BLEND) else OPAQUE,
-            alpha_cutoff=float(given.get("alphaCutoff", 0.5)),
+            alpha_mode=str(given.get("alphaMode", OPAQUE)),
             double_sided=bool(given.get("doubleSided", False)),
             **fields,
         )
         if "KHR_materials_unlit" in extensions:
             material = self._unlit(material, number)
-        return check_material(material, self._file.path)
+        return checked(material, self._file.path)
 
     def _specular(self, extensions: dict[str, Any]) -> float:
         given = extensions.get("KHR_materials_specular", {})
@@ -117,50 +115,48 @@ class GltfMaterials:
             text = f"material {material.name} is unlit with colours by vertex: it is shown lit"
             self._file.notices.append(text)
             return material
-        red, green, blue, alpha = material.base_colour
-        return replace(
-            Material(material.name, double_sided=material.double_sided),
+        *colour, alpha = material.base_colour
+        return Material(
+            material.name,
             base_colour=(0.0, 0.0, 0.0, alpha),
             base_texture=material.base_texture,
             roughness=1.0,
-            emissive=(red, green, blue),
+            emissive=(colour[0], colour[1], colour[2]),
             emissive_texture=material.base_texture,
             specular=0.0,
             alpha_mode=material.alpha_mode,
             alpha_cutoff=material.alpha_cutoff,
+            double_sided=material.double_sided,
         )
 
     def _glossy(self, given: dict[str, Any]) -> dict[str, Any]:
         """Metallic-roughness of specular-glossiness, texel by texel where it has textures."""
-        diffuse = np.array(given.get("diffuseFactor", [1.0] * 4), np.float32)
-        specular = given.get("specularFactor", [1.0] * 3)
-        shine = np.array([*specular, given.get("glossinessFactor", 1.0)], np.float32)
-        matt_texture = self._texture(given.get("diffuseTexture"))
-        shine_texture = self._texture(given.get("specularGlossinessTexture"))
-        laid, rough_laid = matt_texture or shine_texture, shine_texture or matt_texture
+        shine = given.get("specularFactor", [1.0] * 3), given.get("glossinessFactor", 1.0)
+        factors = given.get("diffuseFactor", [1.0] * 4), [*shine[0], shine[1]]
+        keys = "diffuseTexture", "specularGlossinessTexture"
+        matt, shiny = textures = [self._texture(given.get(key)) for key in keys]
+        laid, rough_laid = matt or shiny, shiny or matt
         if laid is None or rough_laid is None:
-            (red, green, blue), metallic = _metallic(diffuse, shine)
+            base, rough = _metallic(*(np.array(f, np.float32) for f in factors))
             return {
-                "base_colour": (float(red), float(green), float(blue), float(diffuse[3])),
-                "metallic": float(metallic),
-                "roughness": unit(1.0 - shine[3]),
+                "base_colour": tuple(base.tolist()),
+                "roughness": float(rough[0]),
+                "metallic": float(rough[1]),
             }
-        wide, high = max(t.picture.shape[1::-1] for t in (laid, rough_laid))
-        pictures = [
-            None if t is None else t.picture for t in (matt_texture, shine_texture)
-        ]
-        texels = [None if p is None else resized(p, wide, high) for p in pictures]
-        base = np.empty((high, wide, 4), np.uint8)
-        rough = np.full((high, wide, 4), 255, np.uint8)
-        for a in range(0, high, _ROWS):
-            d, s = (
-                _linear(t, a, f) for t, f in zip(texels, (diffuse, shine), strict=True)
+        size = max(t.picture.shape[1::-1] for t in (laid, rough_laid))
+        white = np.full((1, 1, 4), 255, np.uint8)
+        pictures = [resized(white if t is None else t.picture, *size) for t in textures]
+        base, rough = np.full((2, *pictures[0].shape), 255, np.uint8)
+        for a in range(0, len(base), _ROWS):
+            rows = slice(a, a + _ROWS)
+            linear = (
+                _linear(p[rows]) * np.array(f, np.float32)
+                for p, f in zip(pictures, factors, strict=True)
             )
-            colour, metallic = _metallic(d, s)
-            base[a : a + _ROWS, :, :3] = np.round(SRGB.encode(colour) * 255)
-            base[a : a + _ROWS, :, 3] = np.round(d[..., 3] * 255)
-            rough[a : a + _ROWS, :, 1] = np.round((1.0 - s[..., 3]) * 255)
-            rough[a : a + _ROWS, :, 2] = np.round(metallic * 255)
+            colour, matte = _metallic(*linear)
+            colour[..., :3] = SRGB.encode(colour[..., :3])
+            base[rows] = np.round(colour * 255)
+            rough[rows, :, 1:3] = np.round(matte * 255)
         return {
             "base_colour": (1.0, 1.0, 1.0, 1.0),
             "base_texture": replace(laid, picture=base),
@@ -222,18 +218,15 @@ def _picture_from_uv(change: dict[str, Any]) -> np.ndarray:
     return np.array([[wide * c, high * s, x], [-wide * s, high * c, y]], float)
 
 
-def _linear(texels: np.ndarray | None, a: int, factor: np.ndarray) -> np.ndarray:
-    """Some rows of a picture in linear light, alpha as it is, times a factor; of no picture the
-    factor."""
-    if texels is None:
-        return factor[None, None]
-    rows = texels[a : a + _ROWS] / np.float32(255)
-    rows[..., :3] = SRGB.decode(rows[..., :3])
-    return rows * factor
+def _linear(texels: np.ndarray) -> np.ndarray:
+    """Of sRGB in linear light, alpha as it is, float32."""
+    out = texels / np.float32(255)
+    out[..., :3] = SRGB.decode(out[..., :3])
+    return out
 
 
 def _metallic(diffuse: np.ndarray, shine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Base colour (..., 3) and metallic (...).
+    """Base colour and alpha (..., 4); roughness and metallic (..., 2).
 
     diffuse : (..., 4) colour and alpha;  shine : (..., 4) specular colour and glossiness
     Source: Khronos' convert-between-workflows; brightness: root of the weighted squares (HSP).
@@ -248,13 +241,10 @@ def _metallic(diffuse: np.ndarray, shine: np.ndarray) -> tuple[np.ndarray, np.nd
     m = metal[..., None]
     matt = colour * rest[..., None] / np.maximum(1.0 - m, 1e-6)
     shiny = (specular - _DIELECTRIC * (1.0 - m)) / np.maximum(m, 1e-6)
-    return np.clip(matt + (shiny - matt) * m * m, 0.0, 1.0), metal
+    base = np.clip(matt + (shiny - matt) * m * m, 0.0, 1.0)
+    rough = np.stack([1.0 - shine[..., 3], metal], -1)
+    return np.concatenate([base, diffuse[..., 3:]], -1), rough
 
 
 def _brightness(colour: np.ndarray) -> np.ndarray:
     return np.asarray(np.sqrt(colour**2 @ np.array([0.299, 0.587, 0.114])))
-
-
-def _colour(value: Any, strength: float = 1.0) -> tuple[float, float, float]:
-    red, green, blue = (float(v) * float(strength) for v in value)
-    return red, green, blue

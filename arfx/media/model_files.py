@@ -26,6 +26,7 @@ MAX_PARTS = 10_000
 MAX_TEXELS = 8192**2 + 2 * 4096**2
 # An 8k texture takes seconds and a gigabyte in software OpenGL; beyond it drivers refuse.
 MAX_TEXTURE_PX = 8192
+NO_TRIANGLES = "points and lines left out"
 # What Pillow may open: left to itself it also takes formats for which it starts other
 # programs (EPS: Ghostscript).
 PICTURES = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TIFF", "TGA", "PPM", "DDS")
@@ -51,17 +52,14 @@ class ModelFile:
         hint = "the file is damaged or not what its name says"
         return InputError(f"cannot read model {self.path}: {what}", hint)
 
-    def check_faces(self, count: int) -> None:
-        """Raises InputError."""
-        if count > MAX_FACES:
-            hint = f"at most {MAX_FACES}: simplify it first"
-            raise InputError(f"model {self.path} has {count} faces", hint)
-
-    def check_parts(self, count: int) -> None:
-        """Raises InputError."""
-        if count > MAX_PARTS:
-            hint = f"at most {MAX_PARTS}: join them first"
-            raise InputError(f"model {self.path} has {count} parts or materials", hint)
+    def check_counts(self, faces: int, parts: int = 0) -> None:
+        """Raises InputError: there are more than can be handled."""
+        for count, most, what, hint in (
+            (faces, MAX_FACES, "faces", "simplify it first"),
+            (parts, MAX_PARTS, "parts or materials", "join them first"),
+        ):
+            if count > most:
+                raise InputError(f"model {self.path} has more than {most} {what}", hint)
 
     def picture(
         self, name: Any, content: Callable[[], bytes] | None = None

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from arfx.core.model import Material
+from arfx.core.model import BLEND, MASK, OPAQUE, Material
 from arfx.errors import InputError
 
 _BRIGHTEST = 1e6  # emission, where white paper in full light is 1
+_UNIT = ("metallic", "roughness", "clearcoat", "clearcoat_roughness", "sheen_roughness")
 
 
 def plain_material(has_colours: bool, double_sided: bool) -> Material:
     """Of a mesh that has none: light grey, white where vertices have colours of their own."""
     grey = 1.0 if has_colours else 0.8
     return Material(base_colour=(grey, grey, grey, 1.0), double_sided=double_sided)
-
-
-def unit(value: Any) -> float:
-    """A number between 0 and 1."""
-    return float(np.clip(float(value), 0.0, 1.0))
 
 
 def unit_colours(values: np.ndarray) -> np.ndarray:
@@ -42,14 +39,23 @@ def resized(picture: np.ndarray, wide: int, high: int) -> np.ndarray:
     return np.asarray(Image.fromarray(picture).resize((wide, high)))
 
 
-def check_material(material: Material, path: Path) -> Material:
-    """The same. Raises InputError: one of its numbers is out of range."""
-    numbers = [
-        np.ravel(x) for x in vars(material).values() if isinstance(x, (float, tuple))
-    ]
+def checked(material: Material, path: Path) -> Material:
+    """The same, what is a share between 0 and 1, and opaque where its alpha mode is none.
+
+    Raises InputError: one of its numbers is out of range; ValueError: a colour has too few or
+    too many."""
+    colours = (material.base_colour, material.emissive, material.sheen_colour)
+    if [len(colour) for colour in colours] != [4, 3, 3]:
+        raise ValueError
+    given = vars(material).values()
+    numbers = [np.ravel(x) for x in given if isinstance(x, (float, tuple))]
     numbers += [t.picture_from_uv.ravel() for t in material.textures.values()]
     check_numbers(material.name, np.concatenate(numbers), path)
-    return material
+    mode = material.alpha_mode.upper()
+    shares = {name: min(max(getattr(material, name), 0.0), 1.0) for name in _UNIT}
+    return replace(
+        material, alpha_mode=mode if mode in (MASK, BLEND) else OPAQUE, **shares
+    )
 
 
 def check_numbers(name: str, numbers: Any, path: Path) -> None:

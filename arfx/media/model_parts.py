@@ -32,18 +32,21 @@ class FileMesh:
     face_colours: np.ndarray | None = None
 
 
+Placed = tuple[FileMesh, np.ndarray, Material]  # with its place in the model, (4, 4)
+
+
 def part_of(
     mesh: FileMesh,
     model_from_mesh: np.ndarray,
     material: Material,
     path: Path,
-) -> tuple[Part | None, int]:
-    """A part of the model, None where no face is left; and the number of faces without area.
+) -> Part | None:
+    """A part of the model, without faces that have no area; None where none is left.
 
     model_from_mesh : (4, 4);  path : of the model, for messages
     Raises InputError: faces of vertices that there are not, numbers that are not finite."""
     if not len(mesh.faces):
-        return None, 0
+        return None
     _check(mesh, model_from_mesh, path)
     rows, faces, linear = _usable(mesh.rows), mesh.faces, model_from_mesh[:3, :3]
     side = float(np.sign(np.linalg.det(linear))) or 1.0
@@ -51,10 +54,9 @@ def part_of(
     if side < 0:  # a mirror turns every triangle inside out
         faces = faces[:, ::-1]
     keep = _have_area(rows["vertices"], faces)
-    lost = int((~keep).sum())
     faces = faces[keep]
     if not len(faces):
-        return None, lost
+        return None
     if mesh.face_colours is not None:
         colours = np.repeat(mesh.face_colours[keep], 3, 0)
         faces, rows = _split(faces, rows, "colours", colours)
@@ -86,7 +88,7 @@ def part_of(
     used, number = np.unique(faces, return_inverse=True)
     rows = {name: values[used] for name, values in rows.items()}
     faces = number.reshape(-1, 3).astype(np.int32)
-    return Part(faces=faces, material=material, **rows), lost
+    return Part(faces=faces, material=material, **rows)
 
 
 def _check(mesh: FileMesh, model_from_mesh: np.ndarray, path: Path) -> None:

@@ -6,17 +6,17 @@ repaired is in `Model.notices`. Leaves out: skins, animation, morph targets, lin
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
 
-from arfx.core.model import Material, Model, Part
+from arfx.core.model import Model, Part
 from arfx.core.opener import read_bytes
 from arfx.errors import ArfxError, ConfigError, InputError
 from arfx.media.gltf_parts import GltfScene
 from arfx.media.model_files import ModelFile
-from arfx.media.model_parts import FileMesh, part_of
+from arfx.media.model_parts import Placed, part_of
 from arfx.media.obj_files import ObjScene
 from arfx.media.trimesh_models import TrimeshScene
 
@@ -97,31 +97,17 @@ def _kind(path: Path, data: bytes) -> str:
 
 
 def _read(file: ModelFile) -> list[Part]:
-    scene: Iterable[tuple[FileMesh | None, np.ndarray, Material]]
-    if file.kind in ("glb", "gltf"):
-        scene = GltfScene(file)
-    elif file.kind == "obj":
-        scene = ObjScene(file)
-    else:
-        scene = TrimeshScene(file)
-    parts: list[Part] = []
-    dropped = skipped = faces = count = 0
-    for mesh, model_from_mesh, material in scene:
-        if mesh is None:
-            skipped += 1
-            continue
-        count += 1
-        faces += len(mesh.faces)
-        file.check_parts(count)
-        file.check_faces(faces)
-        part, lost = part_of(mesh, model_from_mesh, material, file.path)
-        dropped += lost
-        if part is not None:
-            parts.append(part)
-    if dropped:
-        file.notices.append(f"{dropped} faces without area left out")
-    if skipped:
-        file.notices.append(f"{skipped} sets of points or lines left out")
+    readers: dict[str, Callable[[ModelFile], Iterable[Placed]]]
+    readers = {"glb": GltfScene, "gltf": GltfScene, "obj": ObjScene}
+    placed, faces = [], 0
+    for found in readers.get(file.kind, TrimeshScene)(file):
+        placed.append(found)
+        faces += len(found[0].faces)
+        file.check_counts(faces, len(placed))
+    made = [part_of(*found, file.path) for found in placed]
+    parts = [part for part in made if part is not None]
+    if lost := faces - sum(len(part.faces) for part in parts):
+        file.notices.append(f"{lost} faces without area left out")
     return parts
 
 

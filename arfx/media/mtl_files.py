@@ -16,7 +16,7 @@ import numpy as np
 from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, CLAMP, OPAQUE, REPEAT, Material, Texture
 from arfx.media.model_files import ModelFile
-from arfx.media.model_materials import check_material, check_numbers, resized, unit
+from arfx.media.model_materials import check_numbers, checked, resized
 
 # Options of maps and how many values they take at most; those that are read, or change nothing.
 _OPTIONS = dict.fromkeys(
@@ -47,17 +47,17 @@ def mtl_material(
     normal, scale = m.normal_texture()
     display = m.colour("kd", _GREY if base is None else 1.0)
     red, green, blue = SRGB.decode(np.clip(display, 0, 1))
-    alpha = unit(m.number("d", 1.0))
+    alpha = min(max(m.number("d", 1.0), 0.0), 1.0)
     shine = 2.0 / (max(m.number("ns", 0.0), 0.0) + 2.0)
     metallic, roughness = m.number("pm", 0.0), m.number("pr", shine**0.25)
-    sheen = unit(m.number("ps", 0.0))
+    sheen = min(max(m.number("ps", 0.0), 0.0), 1.0)
     emissive = m.colour("ke", 0.0 if glow is None else 1.0)
     material = Material(
         name=name,
         base_colour=(float(red), float(green), float(blue), alpha),
         base_texture=base,
-        metallic=1.0 if metal is not None else unit(metallic),
-        roughness=1.0 if rough is not None else unit(max(roughness, 0.05)),
+        metallic=1.0 if metal is not None else metallic,
+        roughness=1.0 if rough is not None else max(roughness, 0.05),
         metallic_roughness_texture=_joined(rough, metal),
         emissive=(emissive[0], emissive[1], emissive[2]),
         emissive_texture=glow,
@@ -65,12 +65,12 @@ def mtl_material(
         double_sided=True,  # nobody promises an OBJ's winding
         normal_texture=normal,
         normal_scale=scale,
-        clearcoat=unit(m.number("pc", 0.0)),
-        clearcoat_roughness=unit(m.number("pcr", 0.0)),
+        clearcoat=m.number("pc", 0.0),
+        clearcoat_roughness=m.number("pcr", 0.0),
         sheen_colour=(sheen, sheen, sheen),
         sheen_roughness=_SHEEN_ROUGHNESS,
     )
-    return check_material(material, file.path)
+    return checked(material, file.path)
 
 
 class _Statements:

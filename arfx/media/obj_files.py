@@ -20,7 +20,7 @@ from arfx.core.model import Material
 from arfx.errors import InputError
 from arfx.media.model_files import MAX_FACES, ModelFile
 from arfx.media.model_materials import plain_material, unit_colours
-from arfx.media.model_parts import FileMesh
+from arfx.media.model_parts import FileMesh, Placed
 from arfx.media.mtl_files import mtl_material
 
 _MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
@@ -55,7 +55,7 @@ class ObjScene:
             kind, _, rest = line.strip().partition(" ")
             if kind == "f":
                 count += 1
-                file.check_faces(count)
+                file.check_counts(count)
                 faces.append(rest)
             elif kind in rows:
                 rows[kind].append(rest)
@@ -65,7 +65,7 @@ class ObjScene:
                     )
             elif kind == "usemtl":
                 faces = self._faces.setdefault(_key(rest), [])
-                file.check_parts(len(self._faces) - 1)
+                file.check_counts(count, len(self._faces) - 1)
         self._materials = self._read_materials(rows["mtllib"])
         places = _table(rows["v"], 6)
         # By what FileMesh calls them, and their number's place in a corner.
@@ -81,7 +81,7 @@ class ObjScene:
         elif coloured.any():
             file.notices.append("colours of vertices left out: not all have them")
 
-    def __iter__(self) -> Iterator[tuple[FileMesh, np.ndarray, Material]]:
+    def __iter__(self) -> Iterator[Placed]:
         """Of each material its triangles, (4, 4) their place in the model, and the material."""
         plain = plain_material(("colours", 0) in self._tables, double_sided=True)
         for name, lines in self._faces.items():

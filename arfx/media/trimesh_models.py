@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from arfx.core.colour import SRGB
-from arfx.core.model import BLEND, MASK, OPAQUE, Material, Texture
-from arfx.media.model_files import ModelFile
-from arfx.media.model_materials import check_material, plain_material, unit, unit_colours
-from arfx.media.model_parts import FileMesh
+from arfx.core.model import OPAQUE, Material, Texture
+from arfx.media.model_files import NO_TRIANGLES, ModelFile
+from arfx.media.model_materials import checked, plain_material, unit_colours
+from arfx.media.model_parts import FileMesh, Placed
 from arfx.media.obj_files import decoded
 
 _FACES_OF = {
@@ -34,7 +34,7 @@ class TrimeshScene:
         import trimesh
 
         logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # we say it ourselves
-        file.check_faces(_stated_faces(file.data, file.kind))
+        file.check_counts(_stated_faces(file.data, file.kind))
         self._file = file
         self._materials: dict[int, tuple[Any, Material]] = {}  # both: ids stay unique
         self._texture: Texture | None = None  # of a PLY
@@ -44,16 +44,14 @@ class TrimeshScene:
             resolver=file,  # type: ignore[arg-type]
             process=False,
         )
-        file.check_parts(len(self._scene.graph.nodes_geometry))
 
-    def __iter__(self) -> Iterator[tuple[FileMesh | None, np.ndarray, Material]]:
-        """Each set of triangles, (4, 4) its place in the model, and its material; None for points
-        and lines."""
+    def __iter__(self) -> Iterator[Placed]:
+        """Each set of triangles, (4, 4) its place in the model, and its material."""
         for node in self._scene.graph.nodes_geometry:
             model_from_mesh, name = self._scene.graph[node]
             mesh = self._scene.geometry[name]
             if not hasattr(mesh, "faces"):
-                yield None, np.eye(4), Material()
+                self._file.notices.append(NO_TRIANGLES)
                 continue
             given = _mesh(mesh)
             has_colours = "colours" in given.rows or given.face_colours is not None
@@ -91,27 +89,24 @@ class TrimeshScene:
         if type(given).__name__ != "PBRMaterial":  # else trimesh's own grey
             return plain_material(has_colours, double_sided=True)
         if id(given) not in self._materials:
-            material = check_material(self._of_collada(given), self._file.path)
+            material = checked(self._of_collada(given), self._file.path)
             self._materials[id(given)] = given, material
         return self._materials[id(given)][1]
 
     def _of_collada(self, given: Any) -> Material:
-        mode = str(given.alphaMode or OPAQUE).upper()
         factor = 255 if given.baseColorFactor is None else given.baseColorFactor
         red, green, blue, alpha = (float(c) for c in np.resize(factor, 4) / 255.0)
-        glow = (
-            [0.0] * 3 if given.emissiveFactor is None else np.ravel(given.emissiveFactor)
-        )
+        glow = [0.0] * 3 if given.emissiveFactor is None else given.emissiveFactor
         metallic, roughness = given.metallicFactor, given.roughnessFactor
         return Material(
             name=str(given.name or "default"),
             base_colour=(red, green, blue, alpha),
             base_texture=self._laid(given.baseColorTexture),
-            metallic=1.0 if metallic is None else unit(metallic),
-            roughness=1.0 if roughness is None else unit(roughness),
+            metallic=1.0 if metallic is None else float(metallic),
+            roughness=1.0 if roughness is None else float(roughness),
             emissive=(float(glow[0]), float(glow[1]), float(glow[2])),
             emissive_texture=self._laid(given.emissiveTexture) if any(glow) else None,
-            alpha_mode=mode if mode in (OPAQUE, MASK, BLEND) else OPAQUE,
+            alpha_mode=str(given.alphaMode or OPAQUE),
             double_sided=bool(given.doubleSided),
         )
 
