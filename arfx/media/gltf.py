@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from arfx.core.opener import as_text, parse_json
+from arfx.core.opener import parse_json
 from arfx.errors import InputError
-from arfx.media.model_files import MAX_FACES, ModelFile
+from arfx.media.model_files import DAMAGED, MAX_FACES, ModelFile
 
 # What is done with each extension: "" = read, else what will be missing where it is only used.
 # Those that are not in the table, or not read, must not be in extensionsRequired.
@@ -60,17 +60,16 @@ def read_header(file: ModelFile) -> dict[str, Any]:
     data = file.data
     if file.kind == "glb":
         if len(data) < 20 or data[:4] != b"glTF":
-            raise file.damaged("it does not begin as a GLB file")
+            raise InputError("it does not begin as a GLB file", DAMAGED)
         data = data[20 : 20 + struct.unpack("<I", data[12:16])[0]]
     try:
-        header: dict[str, Any] = parse_json(as_text(data, file.path, "the JSON of model"))
+        header: dict[str, Any] = parse_json(data.decode("utf-8-sig"))
     except ValueError as e:
-        raise file.damaged(f"its JSON: {e}") from None
+        raise InputError(f"its JSON: {e}", DAMAGED) from None
     version = str(header.get("asset", {}).get("version") or "2.0")
     if not version.startswith("2."):
         hint = "export it again as glTF 2.0; Blender and `npx gltf-pipeline -i OLD -o NEW` do"
-        what = f"model {file.path} is glTF {version[:20]}, glTF 2.0 is read"
-        raise InputError(what, hint)
+        raise InputError(f"it is glTF {version[:20]}, glTF 2.0 is read", hint)
     _check_extensions(header, file)
     at_rest = [key for key in ("animations", "skins") if header.get(key)]
     if any("targets" in p for m in header.get("meshes", []) for p in m["primitives"]):
@@ -90,9 +89,7 @@ def _check_extensions(header: dict[str, Any], file: ModelFile) -> None:
             hint = "export it without"
             if name in _CONVERTERS:
                 hint += f": {_CONVERT} {_CONVERTERS[name]} {file.path.name} NEW.glb"
-            raise InputError(
-                f"model {file.path} requires {name[:80]}, which is not read", hint
-            )
+            raise InputError(f"it requires {name[:80]}, which is not read", hint)
     for name in header.get("extensionsUsed", []):
         if text := _EXTENSIONS.get(name, "an extension that is not read"):
             file.notices.append(f"left out {text} ({name[:80]})")
@@ -111,7 +108,9 @@ class Buffers:
             content = self.file(buffer["uri"]) if "uri" in buffer else chunk
             size = buffer.get("byteLength", 0)
             if len(content) < size:
-                raise file.damaged(f"a buffer holds {len(content)} of {size} bytes")
+                raise InputError(
+                    f"a buffer holds {len(content)} of {size} bytes", DAMAGED
+                )
             self._contents.append(content)
 
     def file(self, uri: str) -> bytes:
@@ -133,9 +132,9 @@ class Buffers:
         accessor = self._accessors[number]
         count, found = accessor["count"], _SHAPES[accessor["type"]]
         if not 0 <= count <= 3 * MAX_FACES:
-            raise self._file.damaged(f"accessor {number} counts {count}")
+            raise InputError(f"accessor {number} counts {count}", DAMAGED)
         if columns not in (None, found):
-            raise self._file.damaged(f"accessor {number} is of type {accessor['type']}")
+            raise InputError(f"accessor {number} is of type {accessor['type']}", DAMAGED)
         out = np.zeros((count, found), _KINDS[accessor["componentType"]])
         if "bufferView" in accessor:
             out[:] = self._values(accessor, count, found)

@@ -97,7 +97,7 @@ class GltfMaterials:
         )
         if "KHR_materials_unlit" in extensions:
             material = self._unlit(material, number)
-        return checked(material, self._file.path)
+        return checked(material)
 
     def _specular(self, extensions: dict[str, Any]) -> float:
         given = extensions.get("KHR_materials_specular", {})

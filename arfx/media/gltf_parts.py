@@ -57,8 +57,7 @@ class GltfScene:
             number, model_from_parent = waiting.pop()
             if number in seen:
                 what = f"node {number} is below itself or below two others"
-                hint = "nodes must form a tree"
-                raise InputError(f"model {self._file.path}: {what}", hint)
+                raise InputError(what, "nodes must form a tree")
             seen.add(number)
             node = self._nodes[number]
             extensions = node.get("extensions", {})

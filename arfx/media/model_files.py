@@ -26,6 +26,7 @@ MAX_PARTS = 10_000
 MAX_TEXELS = 8192**2 + 2 * 4096**2
 # An 8k texture takes seconds and a gigabyte in software OpenGL; beyond it drivers refuse.
 MAX_TEXTURE_PX = 8192
+DAMAGED = "the file is damaged or not what its name says"
 NO_TRIANGLES = "points and lines left out"
 # What Pillow may open: left to itself it also takes formats for which it starts other
 # programs (EPS: Ghostscript).
@@ -33,7 +34,7 @@ PICTURES = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TIFF", "TGA", "PPM", "DDS")
 
 
 class ModelFile:
-    """A file while it is read.
+    """A file while it is read. Errors do not name it: who reads it does.
 
     data : all of it;  kind : its format, as "glb"
     files : all that was read;  notices : of what is left out or repaired"""
@@ -47,11 +48,6 @@ class ModelFile:
         self._pictures: dict[Any, np.ndarray | None] = {}
         self._texels = 0
 
-    def damaged(self, what: str) -> InputError:
-        """The error to raise."""
-        hint = "the file is damaged or not what its name says"
-        return InputError(f"cannot read model {self.path}: {what}", hint)
-
     def check_counts(self, faces: int, parts: int = 0) -> None:
         """Raises InputError: there are more than can be handled."""
         for count, most, what, hint in (
@@ -59,7 +55,7 @@ class ModelFile:
             (parts, MAX_PARTS, "parts or materials", "join them first"),
         ):
             if count > most:
-                raise InputError(f"model {self.path} has more than {most} {what}", hint)
+                raise InputError(f"it has more than {most} {what}", hint)
 
     def picture(
         self, name: Any, content: Callable[[], bytes] | None = None
@@ -88,7 +84,7 @@ class ModelFile:
                 return np.asarray(_in_8_bits(image).convert("RGBA"))
         except (OSError, ValueError, SyntaxError) as e:  # Pillow decodes late
             what = "a texture is damaged or cut short"
-            raise InputError(f"model {self.path}: {what}", "export it again") from e
+            raise InputError(what, "export it again") from e
 
     def _opened(self, content: bytes) -> Any:
         """Pillow's picture of one of PICTURES; None: it is none of these, or damaged."""
@@ -106,17 +102,17 @@ class ModelFile:
     def _check_size(self, width: int, height: int) -> None:
         if max(width, height) > MAX_TEXTURE_PX:
             hint = f"at most {MAX_TEXTURE_PX} px a side: scale it down"
-            raise InputError(f"model {self.path}: a texture is {width}x{height} px", hint)
+            raise InputError(f"a texture is {width}x{height} px", hint)
         self._texels += width * height
         if self._texels > MAX_TEXELS:
             what = f"its textures hold more than {MAX_TEXELS / 1e6:.0f} megapixels"
-            raise InputError(f"model {self.path}: {what}", "scale them down")
+            raise InputError(what, "scale them down")
 
     def get(self, name: str) -> bytes:
         """A picture, for trimesh, which itself would open any kind. Raises InputError."""
         data = self.read(name)
         if self._opened(data) is None:
-            raise InputError(f"model {self.path} refers to {name}, which is no picture")
+            raise InputError(f"it refers to {name}, which is no picture")
         return data
 
     __getitem__ = get
@@ -130,7 +126,7 @@ class ModelFile:
             data = read_bytes(found, "model part")
         except InputError as e:
             self.notices.append(f"left out {e.message}")
-            raise InputError(f"model {self.path} refers to {e.message}", e.hint) from None
+            raise InputError(f"it refers to {e.message}", e.hint) from None
         if found not in self.files:
             self.files.append(found)
         return data

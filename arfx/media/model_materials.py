@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -39,7 +37,7 @@ def resized(picture: np.ndarray, wide: int, high: int) -> np.ndarray:
     return np.asarray(Image.fromarray(picture).resize((wide, high)))
 
 
-def checked(material: Material, path: Path) -> Material:
+def checked(material: Material) -> Material:
     """The same, what is a share between 0 and 1, and opaque where its alpha mode is none.
 
     Raises InputError: one of its numbers is out of range; ValueError: a colour has too few or
@@ -50,16 +48,11 @@ def checked(material: Material, path: Path) -> Material:
     given = vars(material).values()
     numbers = [np.ravel(x) for x in given if isinstance(x, (float, tuple))]
     numbers += [t.picture_from_uv.ravel() for t in material.textures.values()]
-    check_numbers(material.name, np.concatenate(numbers), path)
+    if not (np.abs(np.concatenate(numbers)) <= _BRIGHTEST).all():
+        what = f"material {material.name!r} holds numbers that are not finite, or above"
+        raise InputError(f"{what} {_BRIGHTEST:g}", "export it again")
     mode = material.alpha_mode.upper()
     shares = {name: min(max(getattr(material, name), 0.0), 1.0) for name in _UNIT}
     return replace(
         material, alpha_mode=mode if mode in (MASK, BLEND) else OPAQUE, **shares
     )
-
-
-def check_numbers(name: str, numbers: Any, path: Path) -> None:
-    """name : of the material. Raises InputError."""
-    if not (np.abs(numbers) <= _BRIGHTEST).all():
-        what = f"material {name!r} holds numbers that are not finite, or above {_BRIGHTEST:g}"
-        raise InputError(f"model {path}: {what}", "export it again")

@@ -4,7 +4,6 @@ format."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -39,15 +38,14 @@ def part_of(
     mesh: FileMesh,
     model_from_mesh: np.ndarray,
     material: Material,
-    path: Path,
 ) -> Part | None:
     """A part of the model, without faces that have no area; None where none is left.
 
-    model_from_mesh : (4, 4);  path : of the model, for messages
+    model_from_mesh : (4, 4)
     Raises InputError: faces of vertices that there are not, numbers that are not finite."""
     if not len(mesh.faces):
         return None
-    _check(mesh, model_from_mesh, path)
+    _check(mesh, model_from_mesh)
     rows, faces, linear = _usable(mesh.rows), mesh.faces, model_from_mesh[:3, :3]
     side = float(np.sign(np.linalg.det(linear))) or 1.0
     rows["vertices"] = rows["vertices"] @ linear.T + model_from_mesh[:3, 3]
@@ -91,16 +89,16 @@ def part_of(
     return Part(faces=faces, material=material, **rows)
 
 
-def _check(mesh: FileMesh, model_from_mesh: np.ndarray, path: Path) -> None:
+def _check(mesh: FileMesh, model_from_mesh: np.ndarray) -> None:
     given, faces = mesh.rows["vertices"], mesh.faces
     if faces.min() < 0 or faces.max() >= len(given):
         what = f"faces refer to vertex {faces.max()}, there are {len(given)}"
-        raise InputError(f"model {path}: {what}", "the file is damaged")
+        raise InputError(what, "the file is damaged")
     if not np.isfinite(model_from_mesh).all():
-        raise InputError(f"model {path}: a node's transform is not finite")
+        raise InputError("a node's transform is not finite")
     if bad := int((~np.isfinite(given)).any(1).sum()):
         what = f"{bad} of {len(given)} vertices are not finite numbers"
-        raise InputError(f"model {path}: {what}", "export it again; look for NaN or inf")
+        raise InputError(what, "export it again; look for NaN or inf")
 
 
 def _usable(rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -6,7 +6,9 @@ repaired is in `Model.notices`. Leaves out: skins, animation, morph targets, lin
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,7 @@ from arfx.core.model import Model, Part
 from arfx.core.opener import read_bytes
 from arfx.errors import ArfxError, ConfigError, InputError
 from arfx.media.gltf_parts import GltfScene
-from arfx.media.model_files import ModelFile
+from arfx.media.model_files import DAMAGED, ModelFile
 from arfx.media.model_parts import Placed, part_of
 from arfx.media.obj_files import ObjScene
 from arfx.media.trimesh_models import TrimeshScene
@@ -56,43 +58,37 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
         raise ConfigError(f"unknown up axis {up!r}", "x, y or z")
     path = Path(path)
     data = read_bytes(path, "model")
-    if not data:
-        raise InputError(f"model file {path} is empty")
-    file = ModelFile(path, data, _kind(path, data))
     try:
+        file = ModelFile(path, data, _kind(path, data))
         with np.errstate(all="ignore"):
             parts = _read(file)
-    except ArfxError:
-        raise
+        model = Model(tuple(parts), up or _UP[file.kind], str(path))
+        _check_extent(model)
+    except ArfxError as e:
+        raise InputError(f"cannot read model {path}: {e.message}", e.hint) from e
     except Exception as e:  # parsers raise whatever they stumble over
-        if file.kind == "dae" and isinstance(e, ImportError):
-            what = f"cannot read model {path}: the package pycollada is not installed"
-            raise InputError(what, "convert it to GLB or OBJ") from e
-        raise file.damaged("what it holds does not fit together") from e
-    if not parts:
-        hint = "a mesh with triangles is needed; points and lines cannot be rendered"
-        raise InputError(f"model {path} has no faces", hint)
+        what = f"cannot read model {path}: what it holds does not fit together"
+        raise InputError(what, DAMAGED) from e
     notices = [f"model {path.name}: {what}" for what in dict.fromkeys(file.notices)]
     if (more := len(notices) - _MOST_NOTICES) > 0:
         notices[_MOST_NOTICES:] = [f"model {path.name}: {more} more notices"]
-    model = Model(
-        tuple(parts), up or _UP[file.kind], str(path), tuple(notices), tuple(file.files)
-    )
-    _check_extent(model)
-    return model
+    return replace(model, notices=tuple(notices), files=tuple(file.files))
 
 
 def _kind(path: Path, data: bytes) -> str:
+    if not data:
+        raise InputError("it is empty")
     kind = _BEGINNINGS.get(data[:4]) or path.suffix.lower().removeprefix(".")
     if kind == "glb" and data[:4] != b"glTF" and data.lstrip()[:1] == b"{":
         kind = "gltf"
     if kind not in _UP:
         what = f"{path.suffix or 'no suffix'} is not a format that is read"
-        hint = "a GLB, glTF, OBJ, PLY, STL, OFF or DAE file"
-        raise InputError(f"cannot read model {path}: {what}", hint)
+        raise InputError(what, "a GLB, glTF, OBJ, PLY, STL, OFF or DAE file")
     if kind == "dae" and (b"<!ENTITY" in data or b"\0" in data[:200]):
-        what = "it defines XML entities, or is not UTF-8"
-        raise InputError(f"cannot read model {path}: {what}", "export it again")
+        raise InputError("it defines XML entities, or is not UTF-8", "export it again")
+    if kind == "dae" and importlib.util.find_spec("collada") is None:
+        what = "the package pycollada is not installed"
+        raise InputError(what, "convert it to GLB or OBJ")
     return kind
 
 
@@ -104,10 +100,13 @@ def _read(file: ModelFile) -> list[Part]:
         placed.append(found)
         faces += len(found[0].faces)
         file.check_counts(faces, len(placed))
-    made = [part_of(*found, file.path) for found in placed]
+    made = [part_of(*found) for found in placed]
     parts = [part for part in made if part is not None]
     if lost := faces - sum(len(part.faces) for part in parts):
         file.notices.append(f"{lost} faces without area left out")
+    if not parts:
+        hint = "a mesh with triangles is needed; points and lines cannot be rendered"
+        raise InputError("it has no faces", hint)
     return parts
 
 
@@ -120,4 +119,4 @@ def _check_extent(model: Model) -> None:
             " vertices"
         )
         what = f"spans {extent:g} units up to coordinate {furthest:g}"
-        raise InputError(f"model {model.source} {what}", hint)
+        raise InputError(f"it {what}", hint)

@@ -18,7 +18,7 @@ import numpy as np
 from arfx.core.colour import SRGB
 from arfx.core.model import Material
 from arfx.errors import InputError
-from arfx.media.model_files import MAX_FACES, ModelFile
+from arfx.media.model_files import DAMAGED, MAX_FACES, ModelFile
 from arfx.media.model_materials import plain_material, unit_colours
 from arfx.media.model_parts import FileMesh, Placed
 from arfx.media.mtl_files import mtl_material
@@ -60,9 +60,8 @@ class ObjScene:
             elif kind in rows:
                 rows[kind].append(rest)
                 if len(rows[kind]) > 3 * MAX_FACES:
-                    raise file.damaged(
-                        f"it holds more than {3 * MAX_FACES} lines of {kind}"
-                    )
+                    what = f"it holds more than {3 * MAX_FACES} lines of {kind}"
+                    raise InputError(what, DAMAGED)
             elif kind == "usemtl":
                 faces = self._faces.setdefault(_key(rest), [])
                 file.check_counts(count, len(self._faces) - 1)

@@ -89,7 +89,7 @@ class TrimeshScene:
         if type(given).__name__ != "PBRMaterial":  # else trimesh's own grey
             return plain_material(has_colours, double_sided=True)
         if id(given) not in self._materials:
-            material = checked(self._of_collada(given), self._file.path)
+            material = checked(self._of_collada(given))
             self._materials[id(given)] = given, material
         return self._materials[id(given)][1]
 

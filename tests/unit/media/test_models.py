@@ -157,7 +157,7 @@ def test_smoothing_keeps_apart_what_the_file_keeps_apart() -> None:
 
     def part(**rows: np.ndarray) -> Part:
         mesh = FileMesh(f, {"vertices": v, **rows})
-        out = part_of(mesh, np.eye(4), Material(), Path("x"))
+        out = part_of(mesh, np.eye(4), Material())
         assert out is not None and (out.vertices[out.faces] == v[f]).all()
         np.testing.assert_allclose(out.normals, [[0, 0, 1]] * len(out.vertices))
         return out

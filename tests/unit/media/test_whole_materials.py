@@ -185,7 +185,7 @@ def test_vertices_are_split_where_tangents_differ_alone():
     rows = {"vertices": FAN, "normals": FAN_NORMALS, "uv": uv}
 
     def part(material):
-        return part_of(FileMesh(FAN_FACES, rows), np.eye(4), material, Path("x"))
+        return part_of(FileMesh(FAN_FACES, rows), np.eye(4), material)
 
     bumpy = part(Material(normal_texture=Texture(np.zeros((1, 1, 4), np.uint8))))
     assert len(bumpy.vertices) == 8  # the middle, and both ends of the fold
