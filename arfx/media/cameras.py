@@ -76,9 +76,7 @@ def load_camera(path: str | Path) -> Camera:
         if not chosen and len(cameras) > 1:
             what = f"it holds {len(cameras)} cameras: {', '.join(cameras)}"
             raise CameraFileError(what, f"choose one: {path}#{next(iter(cameras))}")
-        for name, entry in cameras.items():
-            if chosen in ("", name):
-                document = entry
+        document = cameras.get(chosen or next(iter(cameras), ""), document)
         camera = _from_names(document, str(path))
         _check(camera)
     except CameraFileError as e:

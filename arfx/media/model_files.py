@@ -78,10 +78,22 @@ class ModelFile:
         Raises InputError: too large, damaged."""
         if image is None:
             return None
-        self._check_size(*image.size)
+        width, height = image.size
+        if max(width, height) > MAX_TEXTURE_PX:
+            hint = f"at most {MAX_TEXTURE_PX} px a side: scale it down"
+            raise InputError(f"a texture is {width}x{height} px", hint)
+        self._texels += width * height
+        if self._texels > MAX_TEXELS:
+            what = f"its textures hold more than {MAX_TEXELS / 1e6:.0f} megapixels"
+            raise InputError(what, "scale them down")
         try:
             with image:
-                return np.asarray(_in_8_bits(image).convert("RGBA"))
+                if image.mode.startswith(
+                    "I"
+                ):  # 16-bit greys, which Pillow cuts off at 255
+                    grey = np.clip(np.asarray(image) >> 8, 0, 255).astype(np.uint8)
+                    return np.dstack([grey] * 3 + [np.full_like(grey, 255)])
+                return np.asarray(image.convert("RGBA"))
         except (OSError, ValueError, SyntaxError) as e:  # Pillow decodes late
             what = "a texture is damaged or cut short"
             raise InputError(what, "export it again") from e
@@ -98,15 +110,6 @@ class ModelFile:
             why = "a picture's header is damaged"
         self.notices.append(f"textures left out: {why}")
         return None
-
-    def _check_size(self, width: int, height: int) -> None:
-        if max(width, height) > MAX_TEXTURE_PX:
-            hint = f"at most {MAX_TEXTURE_PX} px a side: scale it down"
-            raise InputError(f"a texture is {width}x{height} px", hint)
-        self._texels += width * height
-        if self._texels > MAX_TEXELS:
-            what = f"its textures hold more than {MAX_TEXELS / 1e6:.0f} megapixels"
-            raise InputError(what, "scale them down")
 
     def get(self, name: str) -> bytes:
         """A picture, for trimesh, which itself would open any kind. Raises InputError."""
@@ -177,12 +180,3 @@ class ModelFile:
 
 def _folded(name: str) -> str:
     return unicodedata.normalize("NFC", name).casefold()
-
-
-def _in_8_bits(image: Any) -> Any:
-    """Pillow cuts 16-bit greys off at 255 where they should be scaled."""
-    from PIL import Image
-
-    if not image.mode.startswith("I"):
-        return image
-    return Image.fromarray(np.clip(np.asarray(image) >> 8, 0, 255).astype(np.uint8))

@@ -19,8 +19,8 @@ from arfx.errors import ArfxError, ConfigError, InputError
 from arfx.media.gltf_parts import GltfScene
 from arfx.media.model_files import DAMAGED, ModelFile
 from arfx.media.model_parts import Placed, part_of
-from arfx.media.obj_files import ObjScene
-from arfx.media.trimesh_models import TrimeshScene
+from arfx.media.obj_files import obj_meshes
+from arfx.media.trimesh_models import trimesh_meshes
 
 # Formats that are read, with their up axis: glTF says y (section 3.4), COLLADA and OBJ exporters
 # default to it; scans and CAD use z. Others that trimesh knows are left out: archives, which may
@@ -94,9 +94,9 @@ def _kind(path: Path, data: bytes) -> str:
 
 def _read(file: ModelFile) -> list[Part]:
     readers: dict[str, Callable[[ModelFile], Iterable[Placed]]]
-    readers = {"glb": GltfScene, "gltf": GltfScene, "obj": ObjScene}
+    readers = {"glb": GltfScene, "gltf": GltfScene, "obj": obj_meshes}
     placed, faces = [], 0
-    for found in readers.get(file.kind, TrimeshScene)(file):
+    for found in readers.get(file.kind, trimesh_meshes)(file):
         placed.append(found)
         faces += len(found[0].faces)
         file.check_counts(faces, len(placed))
