@@ -214,13 +214,19 @@ def _check(camera: Camera) -> None:
             raise CameraFileError(what, hint)
 
 
-def camera_warnings(camera: Camera) -> list[str]:
-    """Notices of what is unusual and may be meant."""
+def camera_warnings(camera: Camera, claims: Mapping[str, Any]) -> list[str]:
+    """Notices of what is unusual and may be meant, and of what a calibration admits of itself.
+
+    claims : as of `calibration_claims`"""
     doubts = {
         doubt: None
         for value, _, (low, high), _, _, doubt in _measures(camera)
         if not low <= value <= high
     }
+    if claims.get("verdict") == "poor":
+        why = "".join(f" ({str(r)[:200]})" for r in claims.get("reasons", ())[:1])
+        text = f"its own verdict is poor{why}: sizes and perspective may be off"
+        doubts[f"{text}; better calibrate again"] = None
     return [f"camera calibration {camera.source}: {text}" for text in doubts]
 
 
@@ -288,15 +294,3 @@ def calibration_claims(path: str | Path) -> dict[str, Any]:
         if math.isfinite(condition := number(flat.get("condition"))):
             out["condition"] = condition
     return out
-
-
-def claim_warnings(camera: Camera, claims: Mapping[str, Any]) -> list[str]:
-    """Notices of what a calibration (of this camera) admits of itself."""
-    if claims.get("verdict") != "poor":
-        return []
-    why = "".join(f" ({str(r)[:200]})" for r in claims.get("reasons", ())[:1])
-    text = (
-        f"its own verdict is poor{why}: sizes and perspective may be off; better calibrate"
-        " again"
-    )
-    return [f"camera calibration {camera.source}: {text}"]

@@ -237,40 +237,33 @@ def open_depth(
     Raises InputError: missing, empty, kinds mixed, times twice.
     """
     if not is_folder(path, "depth"):
-        if path.suffix.lower() in (*TIFF, *VIDEO):
-            frames = open_frames(path)
-            return DepthMaps(path, (path,), steps_per_m, frames.times_s, start_s, frames)
-        if path.suffix.lower() not in SUFFIXES:
-            raise InputError(
-                f"depth {path} is not a depth map",
-                f"{_KINDS}; a folder of them; or a video of 16-bit grey (FFV1)",
-            )
-        return DepthMaps(path, (path,), steps_per_m, None)
-    found = [
-        p for p in folder_entries(path, "depth folder") if p.suffix.lower() in SUFFIXES
-    ]
+        suffix = path.suffix.lower()
+        if suffix not in (*SUFFIXES, *VIDEO):
+            hint = f"{_KINDS}; a folder of them; or a video of 16-bit grey (FFV1)"
+            raise InputError(f"depth {path} is not a depth map", hint)
+        frames = open_frames(path) if suffix in (*TIFF, *VIDEO) else None
+        times_s = None if frames is None else frames.times_s
+        return DepthMaps(path, (path,), steps_per_m, times_s, start_s, frames)
+    inside = folder_entries(path, "depth folder")
+    found = sorted((p for p in inside if p.suffix.lower() in SUFFIXES), key=_natural)
     if not found:
         raise InputError(f"depth folder {path} holds no depth map", _KINDS)
     for p in found:
         regular(p, "depth map")  # a pipe would be waited for
     kinds = sorted({p.suffix.lower() for p in found})
     if len(kinds) > 1:
-        raise InputError(
-            f"depth folder {path} holds {' and '.join(kinds)} files",
-            "maps of one kind only",
-        )
+        what = f"depth folder {path} holds {' and '.join(kinds)} files"
+        raise InputError(what, "maps of one kind only")
+    times_s = None
     # seconds in names have a fraction: 12.png is the twelfth map, not the twelfth second
     if len(found) > 1 and all(re.fullmatch(r"\d+\.\d+", p.stem) for p in found):
-        found.sort(key=lambda p: (float(p.stem), p))
+        found.sort(key=lambda p: float(p.stem))
         times = np.array([float(p.stem) for p in found])
         if (np.diff(times) <= 0).any():
-            raise InputError(
-                f"depth folder {path}: two maps have the same time in their names"
-            )
-        return DepthMaps(
-            path, tuple(found), steps_per_m, tuple((times - times[0]).tolist()), start_s
-        )
-    return DepthMaps(path, tuple(sorted(found, key=_natural)), steps_per_m, None)
+            what = f"depth folder {path}: two maps have the same time in their names"
+            raise InputError(what)
+        times_s = tuple((times - times[0]).tolist())
+    return DepthMaps(path, tuple(found), steps_per_m, times_s, start_s)
 
 
 def _natural(path: Path) -> tuple[list[int | str], str]:

@@ -40,10 +40,10 @@ def corner_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
         cosine = (flat[a] * flat[b]).sum(1)
         return np.asarray(cosine > np.cos(np.radians(CREASE_DEG)))
 
-    across = np.repeat(flat[:, None], 3, 1)
-    out = _smoothed(same_rows(vertices)[1][faces], joined, across, p, across)
+    place = same_rows(vertices)[1][faces]
+    out = _smoothed(place, joined, flat[:, None], *_edges(p))
     # opposite faces cancel: each keeps its own
-    return np.where(out.any(1, keepdims=True), out, across.reshape(-1, 3))
+    return np.where(out.any(1, keepdims=True), out, np.repeat(flat, 3, 0))
 
 
 def corner_tangents(
@@ -70,26 +70,32 @@ def corner_tangents(
         return np.asarray(opposite & (side[a] == side[b]) & (side[a] != 0))
 
     number = same_rows(np.concatenate([vertices, normals, uv], 1))[1]
-    tangents = _smoothed(number[faces], joined, _in_plane(along_u[:, None], n), p, n)
+    ahead, behind = (_in_plane(edge, n) for edge in _edges(p))
+    directions = _in_plane(along_u[:, None], n)
+    tangents = _smoothed(number[faces], joined, directions, ahead, behind)
     normal = n.reshape(-1, 3)
     anyhow = _in_plane(np.eye(3)[np.abs(normal).argmin(1)], normal)
     tangents = np.where(tangents.any(1, keepdims=True), tangents, anyhow)
     return np.column_stack([tangents, np.repeat(np.where(side == 0, 1.0, side), 3)])
 
 
+def _edges(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Both (m, 3, 3), from the corners of triangles to the next one and the one before."""
+    return np.roll(p, -1, 1) - p, np.roll(p, 1, 1) - p
+
+
 def _smoothed(
     place: np.ndarray,
     joined: _Joined,
     directions: np.ndarray,
-    p: np.ndarray,
-    normals: np.ndarray,
+    ahead: np.ndarray,
+    behind: np.ndarray,
 ) -> np.ndarray:
     """(3 m, 3) mean directions of the groups of corners, weighted by corner angle.
 
-    place : (m, 3) int, number of each corner's place;  p : (m, 3, 3) where it is
-    directions, normals : (m, 3, 3) unit;  angles are measured across the normals"""
+    place : (m, 3) int, number of each corner's place
+    directions : (m, 3, 3) unit, or (m, 1, 3);  ahead, behind : (m, 3, 3) the corners' sides"""
     group = _corner_groups(place, joined)
-    ahead, behind = (_in_plane(np.roll(p, -k, 1) - p, normals) for k in (1, 2))
     weighted = angle_between(ahead, behind)[..., None] * directions
     sums = [np.bincount(group, axis) for axis in weighted.reshape(-1, 3).T]
     return normalise(np.stack(sums, 1))[group]

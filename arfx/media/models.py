@@ -15,7 +15,7 @@ import numpy as np
 
 from arfx.core.model import Model, Part
 from arfx.core.opener import read_bytes
-from arfx.errors import ArfxError, ConfigError, InputError
+from arfx.errors import ArfxError, InputError
 from arfx.media.gltf_parts import GltfScene
 from arfx.media.model_files import DAMAGED, ModelFile
 from arfx.media.model_parts import Placed, part_of
@@ -42,7 +42,7 @@ MAX_EXTENT = 1e9
 _MOST_NOTICES = 20
 
 
-def load_model(path: Path | str | None, up: str | None = None) -> Model:
+def load_model(path: Path | str, up: str | None = None) -> Model:
     """Read a model file.
 
     path : one of the formats above; textures beside it, names with spaces included
@@ -50,12 +50,7 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
 
     Returns a Model in the file's own axes and units, faces counter-clockwise from outside, normals
     unit. Raises InputError: missing or unreadable file, no faces, vertices that are not finite,
-    absurd extent, texture above 8192 px; ConfigError: no path, unknown up axis."""
-    if path is None:
-        hint = '--model duck.glb, or file = "duck.glb" under [model]'
-        raise ConfigError("no model file is given", hint)
-    if up not in (None, "x", "y", "z"):
-        raise ConfigError(f"unknown up axis {up!r}", "x, y or z")
+    absurd extent, texture above 8192 px."""
     path = Path(path)
     data = read_bytes(path, "model")
     try:

@@ -17,7 +17,7 @@ from arfx.core.camera import BROWN, FISHEYE, Camera
 from arfx.errors import InputError
 from arfx.media.cameras import (
     calibration_claims,
-    claim_warnings,
+    camera_warnings,
     load_camera,
     save_camera,
 )
@@ -358,7 +358,7 @@ def test_a_calibration_that_calls_itself_poor_is_one_notice(
 ) -> None:
     path = tmp_path / "camera.yaml"
     save_camera(path, Camera(640, 480, K, D5), **claims)
-    notices = claim_warnings(load_camera(path), calibration_claims(path))
+    notices = camera_warnings(load_camera(path), calibration_claims(path))
     assert len(notices) == bool(said) and all(words in notices[0] for words in said)
 
 

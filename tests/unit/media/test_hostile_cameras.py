@@ -116,16 +116,16 @@ def test_a_distortion_that_no_lens_has_is_refused(
 def test_what_is_odd_is_told(
     tmp_path: Path, matrix: object, distortion: tuple[float, ...], message: str
 ) -> None:
-    (doubt,) = camera_warnings(load_camera(camera(tmp_path, matrix, distortion)))
+    (doubt,) = camera_warnings(load_camera(camera(tmp_path, matrix, distortion)), {})
     assert message in doubt
 
 
 def test_usual_cameras_raise_no_doubt(tmp_path: Path) -> None:
     assert (
-        camera_warnings(load_camera(camera(tmp_path, distortion=(-0.28, 0.07, 0, 0))))
+        camera_warnings(load_camera(camera(tmp_path, distortion=(-0.28, 0.07, 0, 0))), {})
         == []
     )
-    assert camera_warnings(Camera.guess(1920, 1080)) == []
+    assert camera_warnings(Camera.guess(1920, 1080), {}) == []
     fisheye = Camera(
         1280,
         720,
@@ -133,7 +133,7 @@ def test_usual_cameras_raise_no_doubt(tmp_path: Path) -> None:
         np.array([0.01, 0, 0, 0]),
         "fisheye",
     )
-    assert camera_warnings(fisheye) == []
+    assert camera_warnings(fisheye, {}) == []
 
 
 @pytest.mark.parametrize("width", ["nan", "inf", "640.5"])

@@ -13,7 +13,7 @@ from PIL import Image
 
 from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, MASK, OPAQUE, Material, Part
-from arfx.errors import ConfigError, InputError
+from arfx.errors import InputError
 from arfx.media.model_parts import FileMesh, part_of
 from arfx.media.models import load_model
 
@@ -200,15 +200,11 @@ def test_refusals(tmp_path: Path, name: str, content: str, message: str) -> None
     assert str(tmp_path / name) in e.value.message and "\n" not in e.value.message
 
 
-def test_missing_file_folder_and_bad_axis(tmp_path: Path) -> None:
+def test_missing_file_and_folder(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         load_model(tmp_path / "no.glb")
     with pytest.raises(InputError, match="is a folder"):
         load_model(tmp_path)
-    with pytest.raises(ConfigError, match="no model"):
-        load_model(None)
-    with pytest.raises(ConfigError, match="up axis"):
-        load_model(tmp_path / "no.glb", "w")
 
 
 def test_a_texture_beyond_the_limit_is_refused(tmp_path: Path) -> None:
