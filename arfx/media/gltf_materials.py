@@ -36,21 +36,19 @@ _TEXTURES = {
     "sheen_roughness_texture": f"{_SHEEN}RoughnessTexture",
 }
 # With the default.
-_NUMBERS = {
+_FACTORS: dict[str, tuple[str, float | tuple[float, ...]]] = {
+    "base_colour": ("pbrMetallicRoughness/baseColorFactor", (1.0, 1.0, 1.0, 1.0)),
     "metallic": ("pbrMetallicRoughness/metallicFactor", 1.0),
     "roughness": ("pbrMetallicRoughness/roughnessFactor", 1.0),
+    "emissive": ("emissiveFactor", (0.0, 0.0, 0.0)),
     "clearcoat": (f"{_COAT}Factor", 0.0),
     "clearcoat_roughness": (f"{_COAT}RoughnessFactor", 0.0),
+    "sheen_colour": (f"{_SHEEN}ColorFactor", (0.0, 0.0, 0.0)),
     "sheen_roughness": (f"{_SHEEN}RoughnessFactor", 0.0),
     "normal_scale": ("normalTexture/scale", 1.0),
     "occlusion_strength": ("occlusionTexture/strength", 1.0),
     "clearcoat_normal_scale": (f"{_COAT}NormalTexture/scale", 1.0),
     "alpha_cutoff": ("alphaCutoff", 0.5),
-}
-_COLOURS = {
-    "base_colour": ("pbrMetallicRoughness/baseColorFactor", (1, 1, 1, 1)),
-    "emissive": ("emissiveFactor", (0, 0, 0)),
-    "sheen_colour": (f"{_SHEEN}ColorFactor", (0, 0, 0)),
 }
 _TINTS = ("specularTexture", "specularColorTexture", "specularColorFactor")
 
@@ -61,22 +59,19 @@ class GltfMaterials:
     def __init__(self, file: ModelFile, header: dict[str, Any], buffers: Buffers) -> None:
         self._file, self._header, self._buffers = file, header, buffers
         self.of = cache(self._material)
-        primitives = [p for mesh in header.get("meshes", []) for p in mesh["primitives"]]
-        self._coloured = {
-            p.get("material") for p in primitives if "COLOR_0" in p["attributes"]
-        }
 
-    def _material(self, number: int) -> Material:
-        """Raises InputError: a texture is too large or damaged, a number out of range."""
+    def _material(self, number: int, coloured: bool) -> Material:
+        """coloured : the mesh has colours by vertex
+
+        Raises InputError: a texture is too large or damaged, a number out of range."""
         given = self._header["materials"][number]
         extensions = given.get("extensions", {})
         fields: dict[str, Any] = {
             name: self._texture(_stated(given, path)) for name, path in _TEXTURES.items()
         }
-        for name, (path, number_default) in _NUMBERS.items():
-            fields[name] = float(_stated(given, path, number_default))
-        for name, (path, default) in _COLOURS.items():
-            fields[name] = tuple(map(float, _stated(given, path, default)))
+        for name, (path, default) in _FACTORS.items():
+            value, several = _stated(given, path, default), isinstance(default, tuple)
+            fields[name] = tuple(map(float, value)) if several else float(value)
         glossy = extensions.get("KHR_materials_pbrSpecularGlossiness")
         if glossy is not None:
             fields |= self._glossy(glossy)
@@ -88,51 +83,34 @@ class GltfMaterials:
             fields["emissive_texture"] = None
         if fields["clearcoat_normal_texture"] is not None:
             self._file.notices.append("left out bumps of clear coat: it lies evenly")
+        specular = extensions.get("KHR_materials_specular", {})
+        if not specular.keys().isdisjoint(_TINTS):
+            what = "left out textures and tints of KHR_materials_specular"
+            self._file.notices.append(what)
+        ior = float(_stated(extensions, "KHR_materials_ior/ior", 1.5))
+        f0 = ((ior - 1.0) / (ior + 1.0)) ** 2 if ior > 0 else _DIELECTRIC
         material = Material(
             name=f"{given.get('name', 'material')} {number}",
-            specular=self._specular(extensions),
+            specular=float(specular.get("specularFactor", 1)) * f0 / 0.08,
             alpha_mode=str(given.get("alphaMode", OPAQUE)),
             double_sided=bool(given.get("doubleSided", False)),
             **fields,
         )
         if "KHR_materials_unlit" in extensions:
-            material = self._unlit(material, number)
-        return checked(material)
-
-    def _specular(self, extensions: dict[str, Any]) -> float:
-        given = extensions.get("KHR_materials_specular", {})
-        if not given.keys().isdisjoint(_TINTS):
-            self._file.notices.append(
-                "left out textures and tints of KHR_materials_specular"
-            )
-        ior = float(_stated(extensions, "KHR_materials_ior/ior", 1.5))
-        f0 = ((ior - 1.0) / (ior + 1.0)) ** 2 if ior > 0 else _DIELECTRIC
-        return float(given.get("specularFactor", 1)) * f0 / 0.08
-
-    def _unlit(self, material: Material, number: int) -> Material:
-        """Its colour as emission, on a surface that sends nothing back."""
-        if number in self._coloured:  # colours by vertex are no part of emission
+            if not coloured:
+                return checked(_unlit(material))
+            # colours by vertex are no part of emission
             text = f"material {material.name} is unlit with colours by vertex: it is shown lit"
             self._file.notices.append(text)
-            return material
-        *colour, alpha = material.base_colour
-        return Material(
-            material.name,
-            base_colour=(0.0, 0.0, 0.0, alpha),
-            base_texture=material.base_texture,
-            roughness=1.0,
-            emissive=(colour[0], colour[1], colour[2]),
-            emissive_texture=material.base_texture,
-            specular=0.0,
-            alpha_mode=material.alpha_mode,
-            alpha_cutoff=material.alpha_cutoff,
-            double_sided=material.double_sided,
-        )
+        return checked(material)
 
     def _glossy(self, given: dict[str, Any]) -> dict[str, Any]:
         """Metallic-roughness of specular-glossiness, texel by texel where it has textures."""
-        shine = given.get("specularFactor", [1.0] * 3), given.get("glossinessFactor", 1.0)
-        factors = given.get("diffuseFactor", [1.0] * 4), [*shine[0], shine[1]]
+        shine = [
+            *given.get("specularFactor", [1.0] * 3),
+            given.get("glossinessFactor", 1.0),
+        ]
+        factors = given.get("diffuseFactor", [1.0] * 4), shine
         keys = "diffuseTexture", "specularGlossinessTexture"
         matt, shiny = textures = [self._texture(given.get(key)) for key in keys]
         laid, rough_laid = matt or shiny, shiny or matt
@@ -170,36 +148,47 @@ class GltfMaterials:
             return None
         change = _stated(slot, "extensions/KHR_texture_transform", {})
         texture = self._header["textures"][slot["index"]]
-        uv_set = change.get("texCoord", slot.get("texCoord", 0))
-        picture = self._picture(texture)
-        if uv_set not in (0, 1):
-            self._file.notices.append(
-                "left out a texture laid by a third set of coordinates"
-            )
+        source = _stated(texture, "extensions/EXT_texture_webp", texture).get("source")
+        if source is None:
             return None
-        if picture is None:
+        image, of = self._header["images"][source], self._buffers
+        picture = self._file.picture(
+            source,
+            lambda: (
+                of.view(image["bufferView"])
+                if "bufferView" in image
+                else of.file(image["uri"])
+            ),
+        )
+        uv_set = change.get("texCoord", slot.get("texCoord", 0))
+        if picture is None or uv_set not in (0, 1):
+            if picture is not None:
+                what = "left out a texture laid by a third set of coordinates"
+                self._file.notices.append(what)
             return None
         samplers = self._header.get("samplers", [])
         sampler = samplers[texture["sampler"]] if "sampler" in texture else {}
-        along_u, along_v = (
-            _WRAPS.get(sampler.get(k, 0), REPEAT) for k in ("wrapS", "wrapT")
-        )
+        wrap = [_WRAPS.get(sampler.get(k, 0), REPEAT) for k in ("wrapS", "wrapT")]
         nearest = sampler.get("magFilter") == _NEAREST
-        return Texture(
-            picture, uv_set, _picture_from_uv(change), (along_u, along_v), nearest
-        )
+        matrix = _picture_from_uv(change)
+        return Texture(picture, uv_set, matrix, (wrap[0], wrap[1]), nearest)
 
-    def _picture(self, texture: dict[str, Any]) -> np.ndarray | None:
-        """The texture's picture; None: there is none, or it cannot be read, which others tell."""
-        webp = _stated(texture, "extensions/EXT_texture_webp", texture)
-        number = webp.get("source")
-        if number is None:
-            return None
-        image, of = self._header["images"][number], self._buffers
-        view = image.get("bufferView")
-        return self._file.picture(
-            number, lambda: of.file(image["uri"]) if view is None else of.view(view)
-        )
+
+def _unlit(material: Material) -> Material:
+    """Its colour as emission, on a surface that sends nothing back."""
+    red, green, blue, alpha = material.base_colour
+    return Material(
+        material.name,
+        base_colour=(0.0, 0.0, 0.0, alpha),
+        base_texture=material.base_texture,
+        roughness=1.0,
+        emissive=(red, green, blue),
+        emissive_texture=material.base_texture,
+        specular=0.0,
+        alpha_mode=material.alpha_mode,
+        alpha_cutoff=material.alpha_cutoff,
+        double_sided=material.double_sided,
+    )
 
 
 def _stated(tree: dict[str, Any], path: str, default: Any = None) -> Any:

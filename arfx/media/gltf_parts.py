@@ -116,7 +116,7 @@ class GltfScene:
             if "COLOR_0" in given:
                 rows["colours"] = unit_colours(read(given["COLOR_0"]))
             if "material" in primitive:
-                material = self._materials.of(primitive["material"])
+                material = self._materials.of(primitive["material"], "colours" in rows)
             else:
                 material = plain_material("colours" in rows, double_sided=False)
             yield FileMesh(_triangles(corners, mode), rows), material
