@@ -85,16 +85,13 @@ class GltfScene:
     def _copies(self, extensions: dict[str, Any]) -> Iterator[np.ndarray]:
         """Where a node shows its mesh, (4, 4) in the node's axes."""
         given = extensions.get(_INSTANCES, {}).get("attributes", {})
-        columns = {
-            p: self._buffers.array(given[p.upper()])
-            for p in _PLACES
-            if p.upper() in given
-        }
-        if not columns:
+        stated = [p for p in _PLACES if p.upper() in given]
+        if not stated:
             yield np.eye(4)
-            return
-        for row in zip(*columns.values(), strict=False):
-            yield _parent_from_node(dict(zip(columns, row, strict=True)))
+        columns = [self._buffers.array(given[p.upper()]) for p in stated]
+        self._file.check_counts(0, max(map(len, columns), default=0))
+        for row in zip(*columns, strict=False):
+            yield _parent_from_node(dict(zip(stated, row, strict=True)))
 
     def _triangles_of(self, number: int) -> Iterator[tuple[FileMesh, Material]]:
         for primitive in self._header["meshes"][number]["primitives"]:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, MASK, OPAQUE, Material
 from arfx.errors import InputError
 
@@ -28,6 +29,13 @@ def unit_colours(values: np.ndarray) -> np.ndarray:
     out = np.ones((len(values), 4))
     out[:, : values.shape[1]] = np.where(np.isfinite(shares), shares, 1.0)
     return np.clip(out, 0.0, 1.0)
+
+
+def linear_colours(display: np.ndarray) -> np.ndarray:
+    """(n, 4) of display colours (sRGB) as `unit_colours` takes them."""
+    out = unit_colours(display)
+    out[:, :3] = SRGB.decode(out[:, :3])
+    return out
 
 
 def resized(picture: np.ndarray, wide: int, high: int) -> np.ndarray:

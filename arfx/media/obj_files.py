@@ -14,11 +14,10 @@ from itertools import count, pairwise
 
 import numpy as np
 
-from arfx.core.colour import SRGB
 from arfx.core.model import Material
 from arfx.errors import InputError
 from arfx.media.model_files import DAMAGED, MAX_FACES, ModelFile
-from arfx.media.model_materials import plain_material, unit_colours
+from arfx.media.model_materials import linear_colours, plain_material
 from arfx.media.model_parts import FileMesh, Placed
 from arfx.media.mtl_files import mtl_material
 
@@ -69,7 +68,8 @@ def obj_meshes(file: ModelFile) -> Iterator[Placed]:
     }
     coloured = np.isfinite(places[:-1, 5])
     if coloured.any() and coloured.all():
-        tables["colours", 0] = _linear(places[:, 3:])
+        most = 255.0 if np.nanmax(places[:, 3:]) > 1.0 else 1.0
+        tables["colours", 0] = linear_colours(places[:, 3:] / most)
     elif coloured.any():
         file.notices.append("colours of vertices left out: not all have them")
     plain = plain_material(("colours", 0) in tables, double_sided=True)
@@ -141,13 +141,6 @@ def _table(rows: list[str], columns: int) -> np.ndarray:
         words = [[*row.partition("#")[0].split(), *["nan"] * columns] for row in rows]
         given = np.array([row[:columns] for row in words], float)
     out[:-1, : given.shape[1]] = given[:, :columns]
-    return out
-
-
-def _linear(display: np.ndarray) -> np.ndarray:
-    """(n, 4) of display colours (n, 3): up to 1, or to 255."""
-    out = unit_colours(display / (255.0 if np.nanmax(display) > 1.0 else 1.0))
-    out[:, :3] = SRGB.decode(out[:, :3])
     return out
 
 

@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from arfx.core.colour import SRGB
 from arfx.core.model import OPAQUE, Material, Texture
 from arfx.media.model_files import NO_TRIANGLES, ModelFile
-from arfx.media.model_materials import checked, plain_material, unit_colours
+from arfx.media.model_materials import checked, linear_colours, plain_material
 from arfx.media.model_parts import FileMesh, Placed
 from arfx.media.obj_files import decoded
 
@@ -135,13 +134,6 @@ def _mesh(mesh: Any) -> FileMesh:
         # trimesh counts v from the bottom
         rows["uv"] = np.array(uv, float)[:, :2] * (1, -1) + (0, 1)
     if visual.kind == "vertex":
-        rows["colours"] = _linear(visual.vertex_colors)
-    by_face = _linear(visual.face_colors) if visual.kind == "face" else None
+        rows["colours"] = linear_colours(visual.vertex_colors)
+    by_face = linear_colours(visual.face_colors) if visual.kind == "face" else None
     return FileMesh(np.asarray(mesh.faces), rows, by_face)
-
-
-def _linear(display: Any) -> np.ndarray:
-    """(n, 4) of display colours (sRGB), (n, 3 or 4)."""
-    out = unit_colours(np.asarray(display))
-    out[:, :3] = SRGB.decode(out[:, :3])
-    return out
