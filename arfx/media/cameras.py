@@ -163,21 +163,15 @@ def save_camera(path: str | Path, camera: Camera, **extras: Any) -> None:
     Raises OSError where the folder cannot be written to; no file under the final name is
     left behind then."""
     path, fisheye = Path(path), camera.model == FISHEYE
-    d = camera.distortion if camera.distortion.size else np.zeros(4 if fisheye else 5)
-    if not fisheye and d.size == 4:
-        d = np.append(d, 0.0)  # ROS's plumb_bob has five
+    d, lens = camera.distortion, "equidistant" if fisheye else "rational_polynomial"
+    if not fisheye and d.size <= 5:  # ROS's plumb_bob has five
+        d, lens = np.append(d, np.zeros(5))[:5], "plumb_bob"
     document = {
         "image_width": camera.width,
         "image_height": camera.height,
         "camera_name": "camera",
         "camera_matrix": _stored_matrix(camera.matrix),
-        "distortion_model": (
-            "equidistant"
-            if fisheye
-            else "plumb_bob"
-            if d.size <= 5
-            else "rational_polynomial"
-        ),
+        "distortion_model": lens,
         "distortion_coefficients": _stored_matrix(d[None]),
         "rectification_matrix": _stored_matrix(np.eye(3)),
         "projection_matrix": _stored_matrix(np.hstack([camera.matrix, np.zeros((3, 1))])),
