@@ -293,7 +293,8 @@ def fill_holes(depth_m: np.ndarray, guide: np.ndarray) -> np.ndarray:
     known = depth_m > 0
     if known.all():
         return np.ascontiguousarray(depth_m, np.float32)
-    rim = cv2.dilate((~known).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    unknown = (~known).astype(np.uint8)
+    rim = cv2.dilate(unknown, np.ones((3, 3), np.uint8)) > 0
     mask = (known & rim).astype(np.float32)
     dioptre = divide(1.0, depth_m).astype(np.float32)
     smooth = cv2.ximgproc.createFastGlobalSmootherFilter(
@@ -301,7 +302,7 @@ def fill_holes(depth_m: np.ndarray, guide: np.ndarray) -> np.ndarray:
     )
     total, value = smooth.filter(mask), smooth.filter(dioptre * mask)
     _, label = cv2.distanceTransformWithLabels(
-        (~known).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+        unknown, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
     of_label = np.zeros(int(label.max()) + 1, np.float32)
     of_label[label[known]] = dioptre[known]  # of the nearest known pixel

@@ -12,6 +12,7 @@ import numpy as np
 from arfx.core.opener import parse_json
 from arfx.errors import InputError
 from arfx.media.model_files import DAMAGED, MAX_FACES, ModelFile
+from arfx.media.model_materials import shares
 
 # What is done with each extension: "" = read, else what will be missing where it is only used.
 # Those that are not in the table, or not read, must not be in extensionsRequired.
@@ -152,15 +153,6 @@ class Buffers:
         stride = view.get("byteStride", kind.itemsize * columns)
         content = self._contents[view["buffer"]]
         return np.ndarray((count, columns), kind, content, start, (stride, kind.itemsize))
-
-
-def shares(values: np.ndarray) -> np.ndarray:
-    """Whole numbers as float32 shares of the largest one, at least -1; floats as they are."""
-    if values.dtype.kind == "f":
-        return values
-    return np.maximum(values / np.float32(np.iinfo(values.dtype).max), -1.0).astype(
-        np.float32
-    )
 
 
 def _binary_chunk(data: bytes) -> bytes:

@@ -20,14 +20,18 @@ def plain_material(has_colours: bool, double_sided: bool) -> Material:
     return Material(base_colour=(grey, grey, grey, 1.0), double_sided=double_sided)
 
 
+def shares(values: np.ndarray) -> np.ndarray:
+    """Whole numbers as shares of the largest one, at least -1; floats as they are."""
+    if values.dtype.kind == "f":
+        return values
+    return np.maximum(values / np.iinfo(values.dtype).max, -1.0)
+
+
 def unit_colours(values: np.ndarray) -> np.ndarray:
     """(n, 4) between 0 and 1 of red, green, blue and maybe alpha (n, 3 or 4), whole numbers as
-    shares of the largest; what is no number leaves a colour alone."""
-    shares = values.astype(float)
-    if values.dtype.kind in "ui":
-        shares /= np.iinfo(values.dtype).max
+    `shares`; what is no number leaves a colour alone."""
     out = np.ones((len(values), 4))
-    out[:, : values.shape[1]] = np.where(np.isfinite(shares), shares, 1.0)
+    out[:, : values.shape[1]] = np.nan_to_num(shares(values), nan=1, posinf=1, neginf=1)
     return np.clip(out, 0.0, 1.0)
 
 
