@@ -1,6 +1,4 @@
-"""What calibration files of all formats hold, as names and values, or as the rows of a
-COLMAP model; recognised by content.
-"""
+"""What calibration files of all formats hold, as names and values; recognised by content."""
 
 from __future__ import annotations
 
@@ -27,7 +25,6 @@ from arfx.core.opener import (
     parse_json,
     read_bytes,
 )
-from arfx.errors import InputError
 
 SUPPORTED = (
     "OpenCV YAML, XML or JSON (camera_matrix, distortion_coefficients, image_width,"
@@ -38,23 +35,20 @@ SUPPORTED = (
 # How other files begin -> what they are, and what to do.
 _OTHERS = {
     b"\x93NUMPY": (
-        "a single NumPy array",
-        (
-            "np.savez(…, camera_matrix=, distortion_coefficients=, image_width=,"
-            " image_height=)"
-        ),
+        "it is a single NumPy array",
+        "np.savez(…, camera_matrix=, distortion_coefficients=, image_width=, image_height=)",
     ),
     b"\x80": (
-        "a Python pickle, which could run code",
+        "it is a Python pickle, which could run code",
         "save the same as .npz with np.savez, or as YAML",
     ),
     b"MATLAB": (
-        "a MATLAB file",
+        "it is a MATLAB file",
         "write camera_matrix, distortion_coefficients, image_width, image_height as YAML",
     ),
 }
-# COLMAP's models in the order of their numbers -> their parameters. Sources: COLMAP,
-# src/colmap/sensor/models.h; its documentation, "Camera Models".
+# COLMAP's models in the order of their numbers -> their parameters; behind cx cy they come as
+# OpenCV's do. Sources: COLMAP, src/colmap/sensor/models.h; its documentation, "Camera Models".
 COLMAP_MODELS = {
     "SIMPLE_PINHOLE": "f cx cy",
     "PINHOLE": "fx fy cx cy",
@@ -68,7 +62,18 @@ COLMAP_MODELS = {
     "RADIAL_FISHEYE": "f cx cy k1 k2",
     "THIN_PRISM_FISHEYE": "fx fy cx cy k1 k2 p1 p2 k3 k4 sx1 sy1",
 }
-COLMAP_LEFT_OUT = ("FOV", "THIN_PRISM_FISHEYE")  # OpenCV has nothing like them
+# The middle of the top left pixel is (0.5, 0.5) there and (0, 0) here.
+COLMAP_CENTRE_PX = 0.5
+_COLMAP_ROW = re.compile(r"\d+ [A-Z][A-Z_]+ ")
+
+
+class CameraFileError(Exception):
+    """A camera file that is not read.
+
+    what : is wrong;  hint : what would be right"""
+
+    def __init__(self, what: str, hint: str = f"supported: {SUPPORTED}") -> None:
+        self.what, self.hint = what, hint
 
 
 class _Loader(yaml.SafeLoader):
@@ -96,42 +101,63 @@ for _tag in ("opencv-matrix", "opencv-nd-matrix"):
     )
 
 
-def read_document(path: Path, where: str) -> Mapping[str, Any] | list[list[str]]:
-    """Names and values, or the rows of a cameras.txt.
+def read_document(path: Path) -> Mapping[str, Any]:
+    """Names and values; of COLMAP those of each camera by its number, named as by Kalibr.
 
-    where : the file, as messages call it. Raises InputError.
-    """
+    Raises CameraFileError, InputError."""
     data = read_bytes(path, "camera file")
     if data.startswith(b"\x1f\x8b"):
-        data = _unpacked(data, where)
-    for start, (what, instead) in _OTHERS.items():
+        data = _unpacked(data)
+    for start, what_and_hint in _OTHERS.items():
         if data.startswith(start):
-            raise InputError(f"camera file {where} is {what}", instead)
+            raise CameraFileError(*what_and_hint)
     if data.startswith(b"PK"):
-        return _numpy(data, where)
-    rows = _colmap_binary(data)
-    if rows is None:
-        text = as_text(data, path, "camera file")
-        rows = _colmap_rows(text)
-    return _parse(text, where) if rows is None else rows
+        return _numpy(data)
+    if rows := _colmap_binary(data):
+        return _colmap(rows)
+    text = as_text(data, path, "camera file")
+    rows = [words for line in text.splitlines() if (words := line.split("#")[0].split())]
+    if rows and all(len(r) > 4 and _COLMAP_ROW.match(" ".join(r)) for r in rows):
+        return _colmap(rows)
+    return _parse(text)
 
 
-def _unpacked(data: bytes, where: str) -> bytes:
+def numbers(value: Any, what: str) -> np.ndarray:
+    """(n,) float64 of nested lists, or of a {rows, cols, data} matrix; none of None. Keeps
+    NaN for Camera to refuse. Raises CameraFileError."""
+    if isinstance(value, Mapping):
+        value = value.get("data")
+    flat = np.ravel(np.array([] if value is None else value, object))
+    try:
+        return np.array([number(v) for v in flat], float)
+    except (TypeError, ValueError, OverflowError):
+        raise CameraFileError(
+            f"{what} is not a list of numbers", "numbers, row by row"
+        ) from None
+
+
+def number(value: Any) -> float:
+    """Numbers may arrive as text: YAML 1.1 does not read "1e-3" as one, and OpenCV writes
+    ".Nan" and "-.Inf".
+    """
+    if isinstance(value, str):
+        value = value.strip().lower().replace(".nan", "nan").replace(".inf", "inf")
+    return float(value)
+
+
+def _unpacked(data: bytes) -> bytes:
     limit = int(LIMITS["camera file"] * MIB)
     try:
         with gzip.open(io.BytesIO(data)) as file:
             out = file.read(limit + 1)
     except (OSError, EOFError, zlib.error):
-        raise InputError(f"camera file {where} is a damaged gzip file") from None
+        raise CameraFileError("it is a damaged gzip file") from None
     if len(out) > limit:
-        raise InputError(
-            f"camera file {where} unpacks to more than {limit} bytes",
-            f"supported: {SUPPORTED}",
-        )
+        raise CameraFileError(f"it unpacks to more than {limit} bytes")
     return out
 
 
-def _numpy(data: bytes, where: str) -> Mapping[str, Any]:
+def _numpy(data: bytes) -> Mapping[str, Any]:
     """Arrays by name, without those that hold Python objects."""
     out: dict[str, Any] = {}
     try:
@@ -142,48 +168,50 @@ def _numpy(data: bytes, where: str) -> Mapping[str, Any]:
                 with contextlib.suppress(ValueError):
                     out[name] = arrays[name].tolist()
     except Exception:  # whatever these readers stumble over
-        raise InputError(
-            f"camera file {where} is not a NumPy archive that can be read: it is damaged, or"
-            " unpacks to more than 4 MiB"
-        ) from None
+        what = "it is not a NumPy archive that can be read"
+        raise CameraFileError(f"{what}: damaged, or unpacks to more than 4 MiB") from None
     return out
 
 
-def _colmap_binary(data: bytes) -> list[list[str]] | None:
-    """The rows of a cameras.bin as in a cameras.txt, or None if the bytes are something else."""
-    rows = list[list[str]]()
+def _colmap_binary(data: bytes) -> list[list[Any]]:
+    """The rows of a cameras.bin as in a cameras.txt, none if the bytes are something else."""
+    rows = list[list[Any]]()
     with contextlib.suppress(struct.error, IndexError):
         (count,), at = struct.unpack_from("<Q", data), 8
         while at < len(data):
-            number, model, width, height = struct.unpack_from("<IIQQ", data, at)
+            camera, model, *size = struct.unpack_from("<IIQQ", data, at)
             name, names = list(COLMAP_MODELS.items())[model]
-            parameters = len(names.split())
-            values = struct.unpack_from(f"<{parameters}d", data, at + 24)
-            rows.append([str(number), name, *map(str, (width, height, *values))])
-            at += 24 + 8 * parameters
-        return rows if 0 < len(rows) == count else None
-    return None
+            values = struct.Struct(f"<{len(names.split())}d")
+            rows.append([str(camera), name, *size, *values.unpack_from(data, at + 24)])
+            at += 24 + values.size
+        if len(rows) == count:
+            return rows
+    return []
 
 
-def _colmap_rows(text: str) -> list[list[str]] | None:
-    """The rows of a cameras.txt, or None if the text is something else."""
-    rows = [
-        line.split()
-        for line in text.splitlines()
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    if not rows or any(
-        len(r) < 5 or not r[0].isdigit() or not re.fullmatch(r"[A-Z][A-Z_]+", r[1])
-        for r in rows
-    ):
-        return None
-    return rows
+def _colmap(rows: list[list[Any]]) -> dict[str, Any]:
+    cameras = {}
+    for camera, model, width, height, *given in rows:
+        names = COLMAP_MODELS.get(model, "")
+        values = numbers(given, f"camera {camera}")
+        if names and len(values) != len(names.split()):
+            what = f"{model} has {len(values)} parameters"
+            raise CameraFileError(what, f"{len(names.split())}: {names}")
+        focals = 1 if names.startswith("f ") else 2
+        centre = values[focals : focals + 2] - COLMAP_CENTRE_PX
+        cameras[camera] = {
+            "intrinsics": [*np.resize(values[:focals], 2), *centre],
+            "distortion_coeffs": values[focals + 2 :],
+            "distortion_model": model,
+            "resolution": [width, height],
+        }
+    return cameras
 
 
-def _parse(text: str, where: str) -> Mapping[str, Any]:
+def _parse(text: str) -> Mapping[str, Any]:
     try:
         if text.lstrip().startswith("<"):
-            return _xml(text, where)
+            return _xml(text)
         if text.lstrip().startswith("{"):
             document = parse_json(text)
         # OpenCV writes "%YAML:1.0", which is not a YAML directive; messages echoed by ROS
@@ -192,35 +220,25 @@ def _parse(text: str, where: str) -> Mapping[str, Any]:
             body = re.sub(r"\A\s*%YAML[^\n]*\n", "", text)
             parts = [p for p in yaml.load_all(body, _Loader) if p is not None]
             document = bounded(parts[0] if parts else None)
-    except (
-        ValueError,
-        TypeError,
-        SyntaxError,
-        yaml.YAMLError,
-    ) as e:  # TypeError: a key that is a list; SyntaxError: of XML
+    # TypeError: a key that is a list; SyntaxError: of XML
+    except (ValueError, TypeError, SyntaxError, yaml.YAMLError) as e:
         first = str(e).splitlines()[0] if str(e) else type(e).__name__
-        raise InputError(
-            f"camera file {where} is neither valid YAML, XML nor JSON: {first}",
-            f"supported: {SUPPORTED}",
+        raise CameraFileError(
+            f"it is neither valid YAML, XML nor JSON: {first}"
         ) from None
     if not isinstance(document, Mapping):
-        raise InputError(
-            f"camera file {where} holds no camera calibration", f"supported: {SUPPORTED}"
-        )
+        raise CameraFileError("it holds no camera calibration")
     return document
 
 
-def _xml(text: str, where: str) -> Mapping[str, Any]:
+def _xml(text: str) -> Mapping[str, Any]:
     """OpenCV's: matrices hold their numbers in <data>."""
     if "<!DOCTYPE" in text:
         raise ValueError("a DOCTYPE is not read")
     root = ElementTree.fromstring(text)
     if root.tag != "opencv_storage":
-        what = f"XML of another program (<{root.tag[:40]}>)"
-        raise InputError(
-            f"camera file {where} is {what}",
-            f"export it for OpenCV; supported: {SUPPORTED}",
-        )
+        what = f"it is XML of another program (<{root.tag[:40]}>)"
+        raise CameraFileError(what, f"export it for OpenCV; supported: {SUPPORTED}")
     out: dict[str, Any] = {}
     for node in root:
         words = (node.findtext("data") or node.text or "").split()

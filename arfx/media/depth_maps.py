@@ -237,48 +237,39 @@ def open_depth(
     Raises InputError: missing, empty, kinds mixed, times twice.
     """
     if not is_folder(path, "depth"):
-        if path.suffix.lower() in (*TIFF, *VIDEO):
-            frames = open_frames(path)
-            return DepthMaps(path, (path,), steps_per_m, frames.times_s, start_s, frames)
-        if path.suffix.lower() not in SUFFIXES:
-            raise InputError(
-                f"depth {path} is not a depth map",
-                f"{_KINDS}; a folder of them; or a video of 16-bit grey (FFV1)",
-            )
-        return DepthMaps(path, (path,), steps_per_m, None)
-    found = [
-        p for p in folder_entries(path, "depth folder") if p.suffix.lower() in SUFFIXES
-    ]
+        suffix = path.suffix.lower()
+        if suffix not in (*SUFFIXES, *VIDEO):
+            hint = f"{_KINDS}; a folder of them; or a video of 16-bit grey (FFV1)"
+            raise InputError(f"depth {path} is not a depth map", hint)
+        frames = open_frames(path) if suffix in (*TIFF, *VIDEO) else None
+        times_s = None if frames is None else frames.times_s
+        return DepthMaps(path, (path,), steps_per_m, times_s, start_s, frames)
+    inside = folder_entries(path, "depth folder")
+    found = sorted((p for p in inside if p.suffix.lower() in SUFFIXES), key=_natural)
     if not found:
         raise InputError(f"depth folder {path} holds no depth map", _KINDS)
     for p in found:
         regular(p, "depth map")  # a pipe would be waited for
     kinds = sorted({p.suffix.lower() for p in found})
     if len(kinds) > 1:
-        raise InputError(
-            f"depth folder {path} holds {' and '.join(kinds)} files",
-            "maps of one kind only",
-        )
+        what = f"depth folder {path} holds {' and '.join(kinds)} files"
+        raise InputError(what, "maps of one kind only")
+    times_s = None
     # seconds in names have a fraction: 12.png is the twelfth map, not the twelfth second
     if len(found) > 1 and all(re.fullmatch(r"\d+\.\d+", p.stem) for p in found):
-        found.sort(key=lambda p: (float(p.stem), p))
+        found.sort(key=lambda p: float(p.stem))
         times = np.array([float(p.stem) for p in found])
         if (np.diff(times) <= 0).any():
-            raise InputError(
-                f"depth folder {path}: two maps have the same time in their names"
-            )
-        return DepthMaps(
-            path, tuple(found), steps_per_m, tuple((times - times[0]).tolist()), start_s
-        )
-    return DepthMaps(path, tuple(sorted(found, key=_natural)), steps_per_m, None)
+            what = f"depth folder {path}: two maps have the same time in their names"
+            raise InputError(what)
+        times_s = tuple((times - times[0]).tolist())
+    return DepthMaps(path, tuple(found), steps_per_m, times_s, start_s)
 
 
-def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
+def _natural(path: Path) -> tuple[list[int | str], str]:
     """2 before 10."""
-    return [
-        (int(n), "") if n else (-1, text)
-        for n, text in re.findall(r"(\d+)|(\D+)", path.stem)
-    ], path.name
+    parts = re.split(r"(\d+)", path.stem)
+    return [int(p) if p.isdecimal() else p for p in parts], path.name
 
 
 def fill_holes(depth_m: np.ndarray, guide: np.ndarray) -> np.ndarray:
@@ -302,7 +293,8 @@ def fill_holes(depth_m: np.ndarray, guide: np.ndarray) -> np.ndarray:
     known = depth_m > 0
     if known.all():
         return np.ascontiguousarray(depth_m, np.float32)
-    rim = cv2.dilate((~known).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    unknown = (~known).astype(np.uint8)
+    rim = cv2.dilate(unknown, np.ones((3, 3), np.uint8)) > 0
     mask = (known & rim).astype(np.float32)
     dioptre = divide(1.0, depth_m).astype(np.float32)
     smooth = cv2.ximgproc.createFastGlobalSmootherFilter(
@@ -310,7 +302,7 @@ def fill_holes(depth_m: np.ndarray, guide: np.ndarray) -> np.ndarray:
     )
     total, value = smooth.filter(mask), smooth.filter(dioptre * mask)
     _, label = cv2.distanceTransformWithLabels(
-        (~known).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+        unknown, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
     of_label = np.zeros(int(label.max()) + 1, np.float32)
     of_label[label[known]] = dioptre[known]  # of the nearest known pixel

@@ -4,15 +4,15 @@ and its numbers and bytes: buffers, views of them, accessors (glTF 2.0 section 3
 from __future__ import annotations
 
 import base64
-import json
 import struct
 from typing import Any
 
 import numpy as np
 
-from arfx.core.opener import as_text, parse_json
+from arfx.core.opener import parse_json
 from arfx.errors import InputError
-from arfx.media.model_files import MAX_FACES, ModelFile
+from arfx.media.model_files import DAMAGED, MAX_FACES, ModelFile
+from arfx.media.model_materials import shares
 
 # What is done with each extension: "" = read, else what will be missing where it is only used.
 # Those that are not in the table, or not read, must not be in extensionsRequired.
@@ -61,27 +61,18 @@ def read_header(file: ModelFile) -> dict[str, Any]:
     data = file.data
     if file.kind == "glb":
         if len(data) < 20 or data[:4] != b"glTF":
-            raise file.damaged("it does not begin as a GLB file")
+            raise InputError("it does not begin as a GLB file", DAMAGED)
         data = data[20 : 20 + struct.unpack("<I", data[12:16])[0]]
     try:
-        header = parse_json(as_text(data, file.path, "the JSON of model"))
-    except json.JSONDecodeError as e:
-        what = f"its JSON breaks off or is wrong at line {e.lineno}, column {e.colno}"
-        raise file.damaged(what) from None
+        header: dict[str, Any] = parse_json(data.decode("utf-8-sig"))
     except ValueError as e:
-        raise file.damaged(f"its JSON: {e}") from None
-    if not isinstance(header, dict):
-        raise file.damaged("its JSON is no object")
-    version = json.dumps(header.get("asset", {}).get("version") or "2.0").strip('"')[:20]
+        raise InputError(f"its JSON: {e}", DAMAGED) from None
+    version = str(header.get("asset", {}).get("version") or "2.0")
     if not version.startswith("2."):
         hint = "export it again as glTF 2.0; Blender and `npx gltf-pipeline -i OLD -o NEW` do"
-        raise InputError(f"model {file.path} is glTF {version}, glTF 2.0 is read", hint)
+        raise InputError(f"it is glTF {version[:20]}, glTF 2.0 is read", hint)
     _check_extensions(header, file)
-    at_rest = [
-        f"{len(header[key])} {what}{'s' if len(header[key]) > 1 else ''}"
-        for key, what in (("animations", "animation"), ("skins", "skin"))
-        if header.get(key)
-    ]
+    at_rest = [key for key in ("animations", "skins") if header.get(key)]
     if any("targets" in p for m in header.get("meshes", []) for p in m["primitives"]):
         at_rest.append("morph targets")
     if at_rest:
@@ -99,9 +90,7 @@ def _check_extensions(header: dict[str, Any], file: ModelFile) -> None:
             hint = "export it without"
             if name in _CONVERTERS:
                 hint += f": {_CONVERT} {_CONVERTERS[name]} {file.path.name} NEW.glb"
-            raise InputError(
-                f"model {file.path} requires {name[:80]}, which is not read", hint
-            )
+            raise InputError(f"it requires {name[:80]}, which is not read", hint)
     for name in header.get("extensionsUsed", []):
         if text := _EXTENSIONS.get(name, "an extension that is not read"):
             file.notices.append(f"left out {text} ({name[:80]})")
@@ -120,12 +109,10 @@ class Buffers:
             content = self.file(buffer["uri"]) if "uri" in buffer else chunk
             size = buffer.get("byteLength", 0)
             if len(content) < size:
-                raise file.damaged(f"a buffer holds {len(content)} of {size} bytes")
+                raise InputError(
+                    f"a buffer holds {len(content)} of {size} bytes", DAMAGED
+                )
             self._contents.append(content)
-        for view in self._views:
-            end = view.get("byteOffset", 0) + view["byteLength"]
-            if end > len(self._contents[view["buffer"]]):
-                raise file.damaged("a view ends beyond its buffer")
 
     def file(self, uri: str) -> bytes:
         """A file beside the model, or what is written in the address itself. Raises InputError."""
@@ -139,21 +126,16 @@ class Buffers:
         start = view.get("byteOffset", 0)
         return self._contents[view["buffer"]][start : start + view["byteLength"]]
 
-    def count(self, number: int) -> int:
-        """Of the rows of an accessor. Raises InputError: more than three a face."""
-        count = self._accessors[number]["count"]
-        if not 0 <= count <= 3 * MAX_FACES:
-            raise self._file.damaged(f"accessor {number} counts {count}")
-        return int(count)
-
     def array(self, number: int, columns: int | None = None) -> np.ndarray:
         """(count, columns) of an accessor, sparse values put in; normalised numbers are floats.
 
         columns : how many there must be, None = any. Raises InputError."""
-        accessor, count = self._accessors[number], self.count(number)
-        found = _SHAPES[accessor["type"]]
+        accessor = self._accessors[number]
+        count, found = accessor["count"], _SHAPES[accessor["type"]]
+        if not 0 <= count <= 3 * MAX_FACES:
+            raise InputError(f"accessor {number} counts {count}", DAMAGED)
         if columns not in (None, found):
-            raise self._file.damaged(f"accessor {number} is of type {accessor['type']}")
+            raise InputError(f"accessor {number} is of type {accessor['type']}", DAMAGED)
         out = np.zeros((count, found), _KINDS[accessor["componentType"]])
         if "bufferView" in accessor:
             out[:] = self._values(accessor, count, found)
@@ -165,23 +147,12 @@ class Buffers:
 
     def _values(self, place: dict[str, Any], count: int, columns: int) -> np.ndarray:
         """place : an accessor, or a part of a sparse one"""
-        view, kind = (
-            self._views[place["bufferView"]],
-            np.dtype(_KINDS[place["componentType"]]),
-        )
+        view = self._views[place["bufferView"]]
+        kind = np.dtype(_KINDS[place["componentType"]])
         start = view.get("byteOffset", 0) + place.get("byteOffset", 0)
         stride = view.get("byteStride", kind.itemsize * columns)
         content = self._contents[view["buffer"]]
         return np.ndarray((count, columns), kind, content, start, (stride, kind.itemsize))
-
-
-def shares(values: np.ndarray) -> np.ndarray:
-    """Whole numbers as float32 shares of the largest one, at least -1; floats as they are."""
-    if values.dtype.kind == "f":
-        return values
-    return np.maximum(values / np.float32(np.iinfo(values.dtype).max), -1.0).astype(
-        np.float32
-    )
 
 
 def _binary_chunk(data: bytes) -> bytes:

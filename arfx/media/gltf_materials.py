@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from arfx.core.colour import SRGB
-from arfx.core.model import BLEND, CLAMP, MASK, MIRROR, OPAQUE, REPEAT, Material, Texture
+from arfx.core.model import CLAMP, MIRROR, OPAQUE, REPEAT, Material, Texture
 from arfx.media.gltf import Buffers
 from arfx.media.model_files import ModelFile
-from arfx.media.model_materials import check_material, resized, unit
+from arfx.media.model_materials import checked, resized
 
 _WRAPS = {33071: CLAMP, 33648: MIRROR}
 _NEAREST = 9728
@@ -35,18 +35,20 @@ _TEXTURES = {
     "sheen_colour_texture": f"{_SHEEN}ColorTexture",
     "sheen_roughness_texture": f"{_SHEEN}RoughnessTexture",
 }
-# With the default; 0 to 1.
-_FACTORS = {
+# With the default.
+_FACTORS: dict[str, tuple[str, float | tuple[float, ...]]] = {
+    "base_colour": ("pbrMetallicRoughness/baseColorFactor", (1.0, 1.0, 1.0, 1.0)),
     "metallic": ("pbrMetallicRoughness/metallicFactor", 1.0),
     "roughness": ("pbrMetallicRoughness/roughnessFactor", 1.0),
+    "emissive": ("emissiveFactor", (0.0, 0.0, 0.0)),
     "clearcoat": (f"{_COAT}Factor", 0.0),
     "clearcoat_roughness": (f"{_COAT}RoughnessFactor", 0.0),
+    "sheen_colour": (f"{_SHEEN}ColorFactor", (0.0, 0.0, 0.0)),
     "sheen_roughness": (f"{_SHEEN}RoughnessFactor", 0.0),
-}
-_SCALES = {
-    "normal_scale": "normalTexture/scale",
-    "occlusion_strength": "occlusionTexture/strength",
-    "clearcoat_normal_scale": f"{_COAT}NormalTexture/scale",
+    "normal_scale": ("normalTexture/scale", 1.0),
+    "occlusion_strength": ("occlusionTexture/strength", 1.0),
+    "clearcoat_normal_scale": (f"{_COAT}NormalTexture/scale", 1.0),
+    "alpha_cutoff": ("alphaCutoff", 0.5),
 }
 _TINTS = ("specularTexture", "specularColorTexture", "specularColorFactor")
 
@@ -57,110 +59,82 @@ class GltfMaterials:
     def __init__(self, file: ModelFile, header: dict[str, Any], buffers: Buffers) -> None:
         self._file, self._header, self._buffers = file, header, buffers
         self.of = cache(self._material)
-        primitives = [p for mesh in header.get("meshes", []) for p in mesh["primitives"]]
-        self._coloured = {
-            p.get("material") for p in primitives if "COLOR_0" in p["attributes"]
-        }
 
-    def _material(self, number: int) -> Material:
-        """Raises InputError: a texture is too large or damaged, a number out of range."""
+    def _material(self, number: int, coloured: bool) -> Material:
+        """coloured : the mesh has colours by vertex
+
+        Raises InputError: a texture is too large or damaged, a number out of range."""
         given = self._header["materials"][number]
         extensions = given.get("extensions", {})
-        mode = str(given.get("alphaMode", OPAQUE)).upper()
-        base = _stated(given, "pbrMetallicRoughness/baseColorFactor", (1, 1, 1, 1))
-        red, green, blue, alpha = map(float, base)
-        fields: dict[str, Any] = {"base_colour": (red, green, blue, alpha)}
-        for name, path in _TEXTURES.items():
-            fields[name] = self._texture(_stated(given, path))
+        fields: dict[str, Any] = {
+            name: self._texture(_stated(given, path)) for name, path in _TEXTURES.items()
+        }
         for name, (path, default) in _FACTORS.items():
-            fields[name] = unit(_stated(given, path, default))
-        for name, path in _SCALES.items():
-            fields[name] = float(_stated(given, path, 1))
+            value, several = _stated(given, path, default), isinstance(default, tuple)
+            fields[name] = tuple(map(float, value)) if several else float(value)
         glossy = extensions.get("KHR_materials_pbrSpecularGlossiness")
         if glossy is not None:
             fields |= self._glossy(glossy)
         strength = _stated(
             extensions, "KHR_materials_emissive_strength/emissiveStrength", 1
         )
-        emissive = _colour(given.get("emissiveFactor", (0, 0, 0)), strength)
-        if not any(emissive):
+        fields["emissive"] = tuple(float(strength) * v for v in fields["emissive"])
+        if not any(fields["emissive"]):
             fields["emissive_texture"] = None
         if fields["clearcoat_normal_texture"] is not None:
             self._file.notices.append("left out bumps of clear coat: it lies evenly")
+        specular = extensions.get("KHR_materials_specular", {})
+        if not specular.keys().isdisjoint(_TINTS):
+            what = "left out textures and tints of KHR_materials_specular"
+            self._file.notices.append(what)
+        ior = float(_stated(extensions, "KHR_materials_ior/ior", 1.5))
+        f0 = ((ior - 1.0) / (ior + 1.0)) ** 2 if ior > 0 else _DIELECTRIC
         material = Material(
             name=f"{given.get('name', 'material')} {number}",
-            emissive=emissive,
-            specular=self._specular(extensions),
-            sheen_colour=_colour(_stated(given, f"{_SHEEN}ColorFactor", (0, 0, 0))),
-            alpha_mode=mode if mode in (OPAQUE, MASK, BLEND) else OPAQUE,
-            alpha_cutoff=float(given.get("alphaCutoff", 0.5)),
+            specular=float(specular.get("specularFactor", 1)) * f0 / 0.08,
+            alpha_mode=str(given.get("alphaMode", OPAQUE)),
             double_sided=bool(given.get("doubleSided", False)),
             **fields,
         )
         if "KHR_materials_unlit" in extensions:
-            material = self._unlit(material, number)
-        return check_material(material, self._file.path)
-
-    def _specular(self, extensions: dict[str, Any]) -> float:
-        given = extensions.get("KHR_materials_specular", {})
-        if not given.keys().isdisjoint(_TINTS):
-            self._file.notices.append(
-                "left out textures and tints of KHR_materials_specular"
-            )
-        ior = float(_stated(extensions, "KHR_materials_ior/ior", 1.5))
-        f0 = ((ior - 1.0) / (ior + 1.0)) ** 2 if ior > 0 else _DIELECTRIC
-        return float(given.get("specularFactor", 1)) * f0 / 0.08
-
-    def _unlit(self, material: Material, number: int) -> Material:
-        """Its colour as emission, on a surface that sends nothing back."""
-        if number in self._coloured:  # colours by vertex are no part of emission
+            if not coloured:
+                return checked(_unlit(material))
+            # colours by vertex are no part of emission
             text = f"material {material.name} is unlit with colours by vertex: it is shown lit"
             self._file.notices.append(text)
-            return material
-        red, green, blue, alpha = material.base_colour
-        return replace(
-            Material(material.name, double_sided=material.double_sided),
-            base_colour=(0.0, 0.0, 0.0, alpha),
-            base_texture=material.base_texture,
-            roughness=1.0,
-            emissive=(red, green, blue),
-            emissive_texture=material.base_texture,
-            specular=0.0,
-            alpha_mode=material.alpha_mode,
-            alpha_cutoff=material.alpha_cutoff,
-        )
+        return checked(material)
 
     def _glossy(self, given: dict[str, Any]) -> dict[str, Any]:
         """Metallic-roughness of specular-glossiness, texel by texel where it has textures."""
-        diffuse = np.array(given.get("diffuseFactor", [1.0] * 4), np.float32)
-        specular = given.get("specularFactor", [1.0] * 3)
-        shine = np.array([*specular, given.get("glossinessFactor", 1.0)], np.float32)
-        matt_texture = self._texture(given.get("diffuseTexture"))
-        shine_texture = self._texture(given.get("specularGlossinessTexture"))
-        laid, rough_laid = matt_texture or shine_texture, shine_texture or matt_texture
-        if laid is None or rough_laid is None:
-            (red, green, blue), metallic = _metallic(diffuse, shine)
-            return {
-                "base_colour": (float(red), float(green), float(blue), float(diffuse[3])),
-                "metallic": float(metallic),
-                "roughness": unit(1.0 - shine[3]),
-            }
-        wide, high = max(t.picture.shape[1::-1] for t in (laid, rough_laid))
-        pictures = [
-            None if t is None else t.picture for t in (matt_texture, shine_texture)
+        shine = [
+            *given.get("specularFactor", [1.0] * 3),
+            given.get("glossinessFactor", 1.0),
         ]
-        texels = [None if p is None else resized(p, wide, high) for p in pictures]
-        base = np.empty((high, wide, 4), np.uint8)
-        rough = np.full((high, wide, 4), 255, np.uint8)
-        for a in range(0, high, _ROWS):
-            d, s = (
-                _linear(t, a, f) for t, f in zip(texels, (diffuse, shine), strict=True)
+        factors = given.get("diffuseFactor", [1.0] * 4), shine
+        keys = "diffuseTexture", "specularGlossinessTexture"
+        matt, shiny = textures = [self._texture(given.get(key)) for key in keys]
+        laid, rough_laid = matt or shiny, shiny or matt
+        if laid is None or rough_laid is None:
+            base, rough = _metallic(*(np.array(f, np.float32) for f in factors))
+            return {
+                "base_colour": tuple(base.tolist()),
+                "roughness": float(rough[0]),
+                "metallic": float(rough[1]),
+            }
+        size = max(t.picture.shape[1::-1] for t in (laid, rough_laid))
+        white = np.full((1, 1, 4), 255, np.uint8)
+        pictures = [resized(white if t is None else t.picture, *size) for t in textures]
+        base, rough = np.full((2, *pictures[0].shape), 255, np.uint8)
+        for a in range(0, len(base), _ROWS):
+            rows = slice(a, a + _ROWS)
+            linear = (
+                _linear(p[rows]) * np.array(f, np.float32)
+                for p, f in zip(pictures, factors, strict=True)
             )
-            colour, metallic = _metallic(d, s)
-            base[a : a + _ROWS, :, :3] = np.round(SRGB.encode(colour) * 255)
-            base[a : a + _ROWS, :, 3] = np.round(d[..., 3] * 255)
-            rough[a : a + _ROWS, :, 1] = np.round((1.0 - s[..., 3]) * 255)
-            rough[a : a + _ROWS, :, 2] = np.round(metallic * 255)
+            colour, matte = _metallic(*linear)
+            colour[..., :3] = SRGB.encode(colour[..., :3])
+            base[rows] = np.round(colour * 255)
+            rough[rows, :, 1:3] = np.round(matte * 255)
         return {
             "base_colour": (1.0, 1.0, 1.0, 1.0),
             "base_texture": replace(laid, picture=base),
@@ -174,36 +148,47 @@ class GltfMaterials:
             return None
         change = _stated(slot, "extensions/KHR_texture_transform", {})
         texture = self._header["textures"][slot["index"]]
-        uv_set = change.get("texCoord", slot.get("texCoord", 0))
-        picture = self._picture(texture)
-        if uv_set not in (0, 1):
-            self._file.notices.append(
-                "left out a texture laid by a third set of coordinates"
-            )
+        source = _stated(texture, "extensions/EXT_texture_webp", texture).get("source")
+        if source is None:
             return None
-        if picture is None:
+        image, of = self._header["images"][source], self._buffers
+        picture = self._file.picture(
+            source,
+            lambda: (
+                of.view(image["bufferView"])
+                if "bufferView" in image
+                else of.file(image["uri"])
+            ),
+        )
+        uv_set = change.get("texCoord", slot.get("texCoord", 0))
+        if picture is None or uv_set not in (0, 1):
+            if picture is not None:
+                what = "left out a texture laid by a third set of coordinates"
+                self._file.notices.append(what)
             return None
         samplers = self._header.get("samplers", [])
         sampler = samplers[texture["sampler"]] if "sampler" in texture else {}
-        along_u, along_v = (
-            _WRAPS.get(sampler.get(k, 0), REPEAT) for k in ("wrapS", "wrapT")
-        )
+        wrap = [_WRAPS.get(sampler.get(k, 0), REPEAT) for k in ("wrapS", "wrapT")]
         nearest = sampler.get("magFilter") == _NEAREST
-        return Texture(
-            picture, uv_set, _picture_from_uv(change), (along_u, along_v), nearest
-        )
+        matrix = _picture_from_uv(change)
+        return Texture(picture, uv_set, matrix, (wrap[0], wrap[1]), nearest)
 
-    def _picture(self, texture: dict[str, Any]) -> np.ndarray | None:
-        """The texture's picture; None: there is none, or it cannot be read, which others tell."""
-        webp = _stated(texture, "extensions/EXT_texture_webp", texture)
-        number = webp.get("source")
-        if number is None:
-            return None
-        image, of = self._header["images"][number], self._buffers
-        view = image.get("bufferView")
-        return self._file.picture(
-            number, lambda: of.file(image["uri"]) if view is None else of.view(view)
-        )
+
+def _unlit(material: Material) -> Material:
+    """Its colour as emission, on a surface that sends nothing back."""
+    red, green, blue, alpha = material.base_colour
+    return Material(
+        material.name,
+        base_colour=(0.0, 0.0, 0.0, alpha),
+        base_texture=material.base_texture,
+        roughness=1.0,
+        emissive=(red, green, blue),
+        emissive_texture=material.base_texture,
+        specular=0.0,
+        alpha_mode=material.alpha_mode,
+        alpha_cutoff=material.alpha_cutoff,
+        double_sided=material.double_sided,
+    )
 
 
 def _stated(tree: dict[str, Any], path: str, default: Any = None) -> Any:
@@ -222,18 +207,15 @@ def _picture_from_uv(change: dict[str, Any]) -> np.ndarray:
     return np.array([[wide * c, high * s, x], [-wide * s, high * c, y]], float)
 
 
-def _linear(texels: np.ndarray | None, a: int, factor: np.ndarray) -> np.ndarray:
-    """Some rows of a picture in linear light, alpha as it is, times a factor; of no picture the
-    factor."""
-    if texels is None:
-        return factor[None, None]
-    rows = texels[a : a + _ROWS] / np.float32(255)
-    rows[..., :3] = SRGB.decode(rows[..., :3])
-    return rows * factor
+def _linear(texels: np.ndarray) -> np.ndarray:
+    """Of sRGB in linear light, alpha as it is, float32."""
+    out = texels / np.float32(255)
+    out[..., :3] = SRGB.decode(out[..., :3])
+    return out
 
 
 def _metallic(diffuse: np.ndarray, shine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Base colour (..., 3) and metallic (...).
+    """Base colour and alpha (..., 4); roughness and metallic (..., 2).
 
     diffuse : (..., 4) colour and alpha;  shine : (..., 4) specular colour and glossiness
     Source: Khronos' convert-between-workflows; brightness: root of the weighted squares (HSP).
@@ -248,13 +230,10 @@ def _metallic(diffuse: np.ndarray, shine: np.ndarray) -> tuple[np.ndarray, np.nd
     m = metal[..., None]
     matt = colour * rest[..., None] / np.maximum(1.0 - m, 1e-6)
     shiny = (specular - _DIELECTRIC * (1.0 - m)) / np.maximum(m, 1e-6)
-    return np.clip(matt + (shiny - matt) * m * m, 0.0, 1.0), metal
+    base = np.clip(matt + (shiny - matt) * m * m, 0.0, 1.0)
+    rough = np.stack([1.0 - shine[..., 3], metal], -1)
+    return np.concatenate([base, diffuse[..., 3:]], -1), rough
 
 
 def _brightness(colour: np.ndarray) -> np.ndarray:
     return np.asarray(np.sqrt(colour**2 @ np.array([0.299, 0.587, 0.114])))
-
-
-def _colour(value: Any, strength: float = 1.0) -> tuple[float, float, float]:
-    red, green, blue = (float(v) * float(strength) for v in value)
-    return red, green, blue

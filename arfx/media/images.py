@@ -33,8 +33,8 @@ MAX_PIXELS: dict[str, tuple[int, str]] = {
 }
 # longest side of a print's picture that is kept: twice what it is searched for with
 PRINT_PX = 1024
-_PILLOW = ("PNG", "JPEG", "BMP", "WEBP", "PPM", "JPEG2000")
-HEIF = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
+_PILLOW = ("PNG", "JPEG", "BMP", "WEBP", "PPM", "JPEG2000", "TIFF")
+_HEIF = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _EXR = b"v/1\x01"
 _WINDOWS = (b"dataWindow", b"displayWindow")  # FFmpeg makes a picture of the second
@@ -61,12 +61,8 @@ def write_exr(path: Path, linear: np.ndarray) -> None:
     a = np.ascontiguousarray(linear, np.float32)
     fmt = "grayf32le" if a.ndim == 2 else "gbrpf32le"
     ctx = av.CodecContext.create("exr", "w")
-    ctx.width, ctx.height, ctx.pix_fmt, ctx.time_base = (
-        a.shape[1],
-        a.shape[0],
-        fmt,
-        Fraction(1, 25),
-    )
+    ctx.height, ctx.width = a.shape[:2]
+    ctx.pix_fmt, ctx.time_base = fmt, Fraction(1, 25)
     ctx.options = {"compression": "zip16", "format": "float"}
     packets = ctx.encode(av.VideoFrame.from_ndarray(a, format=fmt)) + ctx.encode(None)
     _write(path, b"".join(bytes(p) for p in packets))
@@ -104,24 +100,10 @@ def load_print(path: Path) -> tuple[np.ndarray, float]:
     return linear, h / w
 
 
-def _decode_exr(data: bytes, path: Path, kind: str) -> np.ndarray:
-    """(h, w) or (h, w, 3), blue first, float32 as stored; of a depth map the channel that holds
-    it. Raises InputError."""
-    try:
-        if kind == "depth map":
-            data = _one_channel(data, path, kind)
-        with av.open(io.BytesIO(data), "r", format="exr_pipe") as c:
-            picture = np.asarray(next(c.decode(video=0)).to_ndarray())
-    except (
-        av.error.FFmpegError,
-        StopIteration,
-        IndexError,
-        struct.error,
-        ValueError,
-    ) as e:
-        raise InputError(
-            f"{kind} {path} cannot be read as an EXR image: it is damaged, or cut short"
-        ) from e
+def _decode_exr(data: bytes) -> np.ndarray:
+    """(h, w) or (h, w, 3), blue first, float32 as stored. Raises FFmpeg's errors, IndexError."""
+    decoder = av.CodecContext.create("exr", "r")
+    picture = decoder.decode(av.Packet(data))[0].to_ndarray()
     return picture if picture.ndim == 2 else picture[..., 2::-1]
 
 
@@ -142,27 +124,25 @@ def _exr_header(data: bytes) -> list[tuple[bytes, int, int]]:
     return found
 
 
-def _one_channel(data: bytes, path: Path, kind: str) -> bytes:
-    """The EXR with the channel that holds depth called Y, and no other that FFmpeg knows: Y
-    is the only single one it reads.
+def _one_channel(data: bytes, path: Path) -> bytes:
+    """A depth map's EXR with the channel that holds depth called Y, and no other that FFmpeg
+    knows: Y is the only single one it reads. Raises InputError, and as `_exr_header`.
     """
-    start, size = next(
-        (at, size) for name, at, size in _exr_header(data) if name == b"channels"
-    )
-    names, at = dict[bytes, int](), start
-    while at < start + size and data[at]:
-        name = data[at : start + size].split(b"\0", 1)[0]
-        names[name] = at
+    at, size = {name: place for name, *place in _exr_header(data)}[b"channels"]
+    end, places = at + size, dict[bytes, int]()
+    while at < end and data[at]:
+        name = data[at:end].split(b"\0", 1)[0]
+        places[name] = at
         at += len(name) + 17
-    wanted = next((n for n in _DEPTH_CHANNELS if n in names), None)
+    wanted = next((n for n in _DEPTH_CHANNELS if n in places), None)
     if wanted is None:
-        held = ", ".join(n.decode(errors="replace") for n in names)
+        held = ", ".join(n.decode(errors="replace") for n in places)
         raise InputError(
-            f"{kind} {path} holds the channels {held}, none of which is known as depth",
+            f"depth map {path} holds the channels {held}, none of which is known as depth",
             "one called Z, V, Y or R",
         )
     renamed = bytearray(data)
-    for name, at in names.items():
+    for name, at in places.items():
         renamed[at + len(name) - 1] = ord("Y" if name == wanted else "_")
     return bytes(renamed)
 
@@ -184,55 +164,53 @@ def _write(path: Path, data: bytes) -> None:
 
 
 def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
-    """As cv2.imdecode. Raises InputError: not a file of that kind, too large, damaged."""
+    """As cv2.imdecode; of a depth map in an EXR the channel that holds it.
+
+    Raises InputError: not a file of that kind, too large, damaged."""
     import cv2
 
     data = read_bytes(path, kind)
-    if data[4:8] == b"ftyp" and data[8:12] in HEIF:
-        return _decode_heif(data, path, kind, flags)
-    _check_size(lambda: _sizes(data), path, kind)
-    if data.startswith(_EXR) and flags == cv2.IMREAD_UNCHANGED:
-        return _decode_exr(data, path, kind)
+    _check_size(lambda: _sizes(data, path, kind), path, kind)
     try:
-        raw: np.ndarray | None = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except cv2.error:
-        raw = None
-    if raw is None:
-        raise InputError(
-            f"{kind} {path} cannot be read: it is damaged, or of a variant that is not"
-            " known",
-            "save it again",
-        )
-    return raw
+        if is_heif(data):
+            grey = flags == cv2.IMREAD_GRAYSCALE
+            with open_picture(data, path, kind) as picture:
+                raw = np.asarray(picture.convert("L" if grey else "RGB"))
+            return raw if grey else raw[..., ::-1]
+        if data.startswith(_EXR) and flags == cv2.IMREAD_UNCHANGED:
+            return _decode_exr(_one_channel(data, path) if kind == "depth map" else data)
+        decoded: np.ndarray | None = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        if decoded is not None:
+            return decoded
+    except InputError:
+        raise
+    except Exception:  # whatever decoders stumble over
+        pass
+    what = "it is damaged, cut short, or of a variant that is not known"
+    raise InputError(f"{kind} {path} cannot be read: {what}", "save it again")
 
 
-def _decode_heif(data: bytes, path: Path, kind: str, flags: int) -> np.ndarray:
-    """By Pillow's plug-in, upright: grey, or blue, green and red."""
-    import cv2
-
-    try:
-        with open_heif(data, path, kind) as picture:
-            _check_size(lambda: [picture.size], path, kind)
-            if flags == cv2.IMREAD_GRAYSCALE:
-                return np.asarray(picture.convert("L"))
-            return np.asarray(picture.convert("RGB"))[..., ::-1]
-    except (OSError, ValueError, EOFError, RuntimeError, SyntaxError):
-        raise InputError(
-            f"{kind} {path} cannot be read: it is damaged, or cut short", "save it again"
-        ) from None
+def is_heif(data: bytes) -> bool:
+    return data[4:8] == b"ftyp" and data[8:12] in _HEIF
 
 
-def open_heif(data: bytes, path: Path, kind: str) -> Any:
-    """Pillow's picture. Raises InputError where its plug-in is absent, and what that raises."""
+def open_picture(data: bytes, path: Path, kind: str) -> Any:
+    """Pillow's picture, which is not decoded yet.
+
+    Raises InputError where it is HEIC and the plug-in for it absent, and what Pillow raises."""
     from PIL import Image
 
-    try:
-        plug_in = importlib.import_module("pillow_heif")
-    except ImportError:
-        text = f"{kind} {path} is HEIC, which needs the package pillow-heif"
-        raise InputError(text, "pip install pillow-heif, or save it as JPEG") from None
-    plug_in.register_heif_opener()
-    return Image.open(io.BytesIO(data), formats=["HEIF"])
+    Image.MAX_IMAGE_PIXELS = None  # our own limits hold, of which it would warn
+    formats: tuple[str, ...] = _PILLOW
+    if is_heif(data):
+        formats = ("HEIF",)
+        try:
+            importlib.import_module("pillow_heif").register_heif_opener()
+        except ImportError:
+            text = f"{kind} {path} is HEIC, which needs the package pillow-heif"
+            hint = "pip install pillow-heif, or save it as JPEG"
+            raise InputError(text, hint) from None
+    return Image.open(io.BytesIO(data), formats=formats)
 
 
 def exif_turn(path: Path) -> int:
@@ -262,9 +240,8 @@ def _tiff_sizes(source: Path | io.BytesIO) -> list[tuple[int, int]]:
     import tifffile
 
     sizes: dict[int, tuple[int, int]] = {}
-    with tifffile.TiffFile(
-        source
-    ) as file:  # its pages alone: what its metadata names is not opened
+    # its pages alone: what its metadata names is not opened
+    with tifffile.TiffFile(source) as file:
         for page in cast(list[Any], file.pages):
             if page.offset in sizes:
                 raise ValueError  # it comes after itself: tifffile would go round for ever
@@ -277,6 +254,8 @@ def _check_size(
 ) -> None:
     try:
         pages = sizes()
+    except InputError:
+        raise
     except Exception as e:  # whatever the readers of headers stumble over
         raise InputError(
             f"{kind} {path} cannot be read: its header is damaged", "save it again"
@@ -284,7 +263,7 @@ def _check_size(
     if not pages:
         raise InputError(
             f"{kind} {path} is not a picture that can be read",
-            f"{', '.join(_PILLOW)}, TIFF, HDR or EXR",
+            f"{', '.join(_PILLOW)}, HDR or EXR",
         )
     most, _ = MAX_PIXELS[kind]
     for width, height in pages:
@@ -295,8 +274,10 @@ def _check_size(
             )
 
 
-def _sizes(data: bytes) -> Sequence[tuple[int, int]]:
+def _sizes(data: bytes, path: Path, kind: str) -> Sequence[tuple[int, int]]:
     """(width, height) of every page as the header states it; none where the format is not known."""
+    from PIL import UnidentifiedImageError
+
     if data.startswith(_TIFF):
         return _tiff_sizes(io.BytesIO(data))
     if data.startswith(b"#?"):
@@ -308,14 +289,9 @@ def _sizes(data: bytes) -> Sequence[tuple[int, int]]:
             for name, at, _ in _exr_header(data)
             if name in _WINDOWS
         ]
-        return [
-            (right - left + 1, bottom - top + 1) for left, top, right, bottom in windows
-        ]
-    from PIL import Image
-
-    Image.MAX_IMAGE_PIXELS = None  # our own limits hold, of which it would warn
+        return [(right - left + 1, low - top + 1) for left, top, right, low in windows]
     try:
-        with Image.open(io.BytesIO(data), formats=_PILLOW) as picture:
+        with open_picture(data, path, kind) as picture:
             return [picture.size]
-    except Image.UnidentifiedImageError:
+    except UnidentifiedImageError:
         return []

@@ -26,13 +26,15 @@ MAX_PARTS = 10_000
 MAX_TEXELS = 8192**2 + 2 * 4096**2
 # An 8k texture takes seconds and a gigabyte in software OpenGL; beyond it drivers refuse.
 MAX_TEXTURE_PX = 8192
+DAMAGED = "the file is damaged or not what its name says"
+NO_TRIANGLES = "points and lines left out"
 # What Pillow may open: left to itself it also takes formats for which it starts other
 # programs (EPS: Ghostscript).
 PICTURES = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TIFF", "TGA", "PPM", "DDS")
 
 
 class ModelFile:
-    """A file while it is read.
+    """A file while it is read. Errors do not name it: who reads it does.
 
     data : all of it;  kind : its format, as "glb"
     files : all that was read;  notices : of what is left out or repaired"""
@@ -46,22 +48,14 @@ class ModelFile:
         self._pictures: dict[Any, np.ndarray | None] = {}
         self._texels = 0
 
-    def damaged(self, what: str) -> InputError:
-        """The error to raise."""
-        hint = "the file is damaged or not what its name says"
-        return InputError(f"cannot read model {self.path}: {what}", hint)
-
-    def check_faces(self, count: int) -> None:
-        """Raises InputError."""
-        if count > MAX_FACES:
-            hint = f"at most {MAX_FACES}: simplify it first"
-            raise InputError(f"model {self.path} has {count} faces", hint)
-
-    def check_parts(self, count: int) -> None:
-        """Raises InputError."""
-        if count > MAX_PARTS:
-            hint = f"at most {MAX_PARTS}: join them first"
-            raise InputError(f"model {self.path} has {count} parts or materials", hint)
+    def check_counts(self, faces: int, parts: int = 0) -> None:
+        """Raises InputError: there are more than can be handled."""
+        for count, most, what, hint in (
+            (faces, MAX_FACES, "faces", "simplify it first"),
+            (parts, MAX_PARTS, "parts or materials", "join them first"),
+        ):
+            if count > most:
+                raise InputError(f"it has more than {most} {what}", hint)
 
     def picture(
         self, name: Any, content: Callable[[], bytes] | None = None
@@ -84,13 +78,25 @@ class ModelFile:
         Raises InputError: too large, damaged."""
         if image is None:
             return None
-        self._check_size(*image.size)
+        width, height = image.size
+        if max(width, height) > MAX_TEXTURE_PX:
+            hint = f"at most {MAX_TEXTURE_PX} px a side: scale it down"
+            raise InputError(f"a texture is {width}x{height} px", hint)
+        self._texels += width * height
+        if self._texels > MAX_TEXELS:
+            what = f"its textures hold more than {MAX_TEXELS / 1e6:.0f} megapixels"
+            raise InputError(what, "scale them down")
         try:
             with image:
-                return np.asarray(_in_8_bits(image).convert("RGBA"))
+                if image.mode.startswith(
+                    "I"
+                ):  # 16-bit greys, which Pillow cuts off at 255
+                    grey = np.clip(np.asarray(image) >> 8, 0, 255).astype(np.uint8)
+                    return np.dstack([grey] * 3 + [np.full_like(grey, 255)])
+                return np.asarray(image.convert("RGBA"))
         except (OSError, ValueError, SyntaxError) as e:  # Pillow decodes late
             what = "a texture is damaged or cut short"
-            raise InputError(f"model {self.path}: {what}", "export it again") from e
+            raise InputError(what, "export it again") from e
 
     def _opened(self, content: bytes) -> Any:
         """Pillow's picture of one of PICTURES; None: it is none of these, or damaged."""
@@ -105,20 +111,11 @@ class ModelFile:
         self.notices.append(f"textures left out: {why}")
         return None
 
-    def _check_size(self, width: int, height: int) -> None:
-        if max(width, height) > MAX_TEXTURE_PX:
-            hint = f"at most {MAX_TEXTURE_PX} px a side: scale it down"
-            raise InputError(f"model {self.path}: a texture is {width}x{height} px", hint)
-        self._texels += width * height
-        if self._texels > MAX_TEXELS:
-            what = f"its textures hold more than {MAX_TEXELS / 1e6:.0f} megapixels"
-            raise InputError(f"model {self.path}: {what}", "scale them down")
-
     def get(self, name: str) -> bytes:
         """A picture, for trimesh, which itself would open any kind. Raises InputError."""
         data = self.read(name)
         if self._opened(data) is None:
-            raise InputError(f"model {self.path} refers to {name}, which is no picture")
+            raise InputError(f"it refers to {name}, which is no picture")
         return data
 
     __getitem__ = get
@@ -132,7 +129,7 @@ class ModelFile:
             data = read_bytes(found, "model part")
         except InputError as e:
             self.notices.append(f"left out {e.message}")
-            raise InputError(f"model {self.path} refers to {e.message}", e.hint) from None
+            raise InputError(f"it refers to {e.message}", e.hint) from None
         if found not in self.files:
             self.files.append(found)
         return data
@@ -183,12 +180,3 @@ class ModelFile:
 
 def _folded(name: str) -> str:
     return unicodedata.normalize("NFC", name).casefold()
-
-
-def _in_8_bits(image: Any) -> Any:
-    """Pillow cuts 16-bit greys off at 255 where they should be scaled."""
-    from PIL import Image
-
-    if not image.mode.startswith("I"):
-        return image
-    return Image.fromarray(np.clip(np.asarray(image) >> 8, 0, 255).astype(np.uint8))

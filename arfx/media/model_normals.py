@@ -17,119 +17,33 @@ across the normals (in MikkTSpace it takes after the neighbour that comes first)
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
-from arfx.core.model import Part
 from arfx.core.numerics import angle_between, divide, normalise, same_rows
 
 CREASE_DEG = 40.0
+# Of the two faces of edges (e,), and whether they run along it in opposite ways (e,): across
+# which edges their corners belong together (e,)
+_Joined = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
-def smooth_by_angle(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    split: bool,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Normals by smoothing groups.
+def corner_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(3 m, 3) unit, of the corners of faces.
 
     vertices : (n, 3), those at the same place count as one;  faces : (m, 3) int, none without area
-    split : keep vertices apart that the file keeps apart (their coordinates or colours differ)
-    Returns faces (m, 3) over new vertices, source (k,) the old vertex of each new one, and
-    normals (k, 3) unit."""
-    m = len(faces)
-    place = same_rows(vertices)[1][faces]
+    """
     p = vertices[faces]
-    edge, other_edge = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
-    normal = normalise(np.cross(edge, other_edge))
+    flat = normalise(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]))
 
-    def flat(a: np.ndarray, b: np.ndarray, _: np.ndarray) -> np.ndarray:
-        cosine = (normal[a] * normal[b]).sum(1)
+    def joined(a: np.ndarray, b: np.ndarray, _: np.ndarray) -> np.ndarray:
+        cosine = (flat[a] * flat[b]).sum(1)
         return np.asarray(cosine > np.cos(np.radians(CREASE_DEG)))
 
-    count, group = corner_groups(place, flat)
-    ahead = np.roll(p, -1, 1) - p
-    behind = np.roll(p, -2, 1) - p
-    weight = angle_between(ahead, behind)[..., None]
-    normals = normalise(sums_by_group(weight * normal[:, None], group, count))
-    lost = np.abs(normals).sum(1) == 0  # opposite faces cancel: take one of them
-    if lost.any():
-        first = np.full(count, 3 * m)
-        np.minimum.at(first, group, np.arange(3 * m))
-        normals[lost] = normal[first[lost] // 3]
-    new_faces, first, of_group = split_corners(faces if split else place, group)
-    return new_faces, faces.ravel()[first], normals[of_group]
-
-
-def corner_groups(
-    place: np.ndarray,
-    joined: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
-) -> tuple[int, np.ndarray]:
-    """Corners of triangles that belong together: at one place, with joined edges between them.
-
-    place : (m, 3) int, number of each corner's place
-    joined : of the two faces of edges (e,), and whether they run along it in opposite ways (e,),
-        tells (e,) across which edges their corners belong together
-    Returns how many groups there are, and (3 m,) the group of each corner."""
-    from trimesh.graph import connected_component_labels
-
-    # Every edge by the corner that it starts from, and that where it ends; sorted, equal ones meet.
-    start = np.arange(place.size)
-    end = np.roll(start.reshape(-1, 3), -1, 1).ravel()
-    places = place.ravel()
-    edge = np.sort(np.stack([places, places[end]], 1), 1)
-    order = np.lexsort(edge.T[::-1])
-    same = (edge[order[1:]] == edge[order[:-1]]).all(1)
-    a, b = order[:-1][same], order[1:][same]
-    opposite = places[a] != places[b]
-    together = joined(a // 3, b // 3, opposite)
-    a, b, opposite = a[together], b[together], opposite[together]
-    first = np.stack([a, np.where(opposite, end[b], b)], 1)
-    second = np.stack([end[a], np.where(opposite, b, end[b])], 1)
-    links = np.concatenate([first, second])
-    group = connected_component_labels(links, node_count=place.size)
-    return int(group.max()) + 1, group
-
-
-def sums_by_group(vectors: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
-    """(count, 3) of vectors (m, 3, 3) of corners, by their group (3 m,)."""
-    flat = vectors.reshape(-1, 3)
-    return np.stack([np.bincount(group, axis, count) for axis in flat.T], 1)
-
-
-def split_corners(
-    faces: np.ndarray,
-    group: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices of which each belongs to one group of corners alone.
-
-    faces : (m, 3) int;  group : (3 m,) int
-    Returns faces (m, 3) over new vertices, and of each the first corner (k,) and the group (k,).
-    """
-    first, new = same_rows(np.stack([group, faces.ravel()], 1))
-    return new.reshape(-1, 3), first, group[first]
-
-
-def with_tangents(part: Part) -> Part:
-    """The part with tangents if its material has a normal texture, with none if not.
-
-    Tangents of the file are kept; for new ones vertices are split where they differ."""
-    texture = part.material.normal_texture or part.material.clearcoat_normal_texture
-    uv = None if texture is None else part.uv_on(texture)
-    if uv is None:
-        return replace(part, tangents=None)
-    if part.tangents is not None:
-        return part
-    tangents = corner_tangents(part.vertices, part.faces, part.normals, uv)
-    first, group = same_rows(tangents)
-    faces, corner, of_group = split_corners(part.faces, group)
-    source = part.faces.ravel()[corner]
-    names = ("vertices", "normals", "uv", "second_uv", "colours")
-    given = {name: getattr(part, name) for name in names}
-    rows = {name: values[source] for name, values in given.items() if values is not None}
-    rows["tangents"] = tangents[first[of_group]]
-    return Part(faces=faces.astype(np.int32), material=part.material, **rows)
+    place = same_rows(vertices)[1][faces]
+    out = _smoothed(place, joined, flat[:, None], *_edges(p))
+    # opposite faces cancel: each keeps its own
+    return np.where(out.any(1, keepdims=True), out, np.repeat(flat, 3, 0))
 
 
 def corner_tangents(
@@ -149,27 +63,60 @@ def corner_tangents(
     side = np.asarray(np.sign(u1 * v2 - v1 * u2))
     edge1, edge2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
     along_u = side[:, None] * (v2[:, None] * edge1 - v1[:, None] * edge2)
-    size = np.abs(along_u).max(1, keepdims=True)
-    along_u = normalise(divide(along_u, size))
-    covered = np.asarray(along_u.any(1))
+    along_u = normalise(divide(along_u, np.abs(along_u).max(1, keepdims=True)))
+    side[~along_u.any(1)] = 0  # the picture covers it with no area
 
     def joined(a: np.ndarray, b: np.ndarray, opposite: np.ndarray) -> np.ndarray:
-        alike = (side[a] == side[b]) & covered[a] & covered[b]
-        return np.asarray(opposite & alike)
+        return np.asarray(opposite & (side[a] == side[b]) & (side[a] != 0))
 
-    _, number = same_rows(np.concatenate([vertices, normals, uv], 1))
-    count, group = corner_groups(number[faces], joined)
-    ahead = _in_plane(np.roll(p, -1, 1) - p, n)
-    behind = _in_plane(np.roll(p, -2, 1) - p, n)
-    weight = angle_between(ahead, behind)[..., None]
+    number = same_rows(np.concatenate([vertices, normals, uv], 1))[1]
+    ahead, behind = (_in_plane(edge, n) for edge in _edges(p))
     directions = _in_plane(along_u[:, None], n)
-    tangents = normalise(sums_by_group(weight * directions, group, count))[group]
+    tangents = _smoothed(number[faces], joined, directions, ahead, behind)
     normal = n.reshape(-1, 3)
-    least = np.abs(normal).argmin(1)
-    lacking = ~tangents.any(1)
-    tangents[lacking] = _in_plane(np.eye(3)[least], normal)[lacking]
-    signs = np.where(side == 0, 1.0, side)
-    return np.column_stack([tangents, np.repeat(signs, 3)])
+    anyhow = _in_plane(np.eye(3)[np.abs(normal).argmin(1)], normal)
+    tangents = np.where(tangents.any(1, keepdims=True), tangents, anyhow)
+    return np.column_stack([tangents, np.repeat(np.where(side == 0, 1.0, side), 3)])
+
+
+def _edges(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Both (m, 3, 3), from the corners of triangles to the next one and the one before."""
+    return np.roll(p, -1, 1) - p, np.roll(p, 1, 1) - p
+
+
+def _smoothed(
+    place: np.ndarray,
+    joined: _Joined,
+    directions: np.ndarray,
+    ahead: np.ndarray,
+    behind: np.ndarray,
+) -> np.ndarray:
+    """(3 m, 3) mean directions of the groups of corners, weighted by corner angle.
+
+    place : (m, 3) int, number of each corner's place
+    directions : (m, 3, 3) unit, or (m, 1, 3);  ahead, behind : (m, 3, 3) the corners' sides"""
+    group = _corner_groups(place, joined)
+    weighted = angle_between(ahead, behind)[..., None] * directions
+    sums = [np.bincount(group, axis) for axis in weighted.reshape(-1, 3).T]
+    return normalise(np.stack(sums, 1))[group]
+
+
+def _corner_groups(place: np.ndarray, joined: _Joined) -> np.ndarray:
+    """(3 m,) of corners that belong together: at one place, with joined edges between them."""
+    from trimesh.graph import connected_component_labels
+
+    # Every edge by the corner that it starts from, and that where it ends; sorted, equal ones meet.
+    end = np.roll(np.arange(place.size).reshape(-1, 3), -1, 1).ravel()
+    places = place.ravel()
+    edge = np.sort(np.stack([places, places[end]], 1), 1)
+    order = np.lexsort(edge.T[::-1])
+    same = (edge[order[1:]] == edge[order[:-1]]).all(1)
+    a, b = order[:-1][same], order[1:][same]
+    together = joined(a // 3, b // 3, places[a] != places[b])
+    a, b = a[together], b[together]
+    there = np.where(places[a] != places[b], [end[b], b], [b, end[b]])
+    links = np.stack([[a, end[a]], there], -1).reshape(-1, 2)
+    return np.asarray(connected_component_labels(links, node_count=place.size))
 
 
 def _in_plane(v: np.ndarray, normal: np.ndarray) -> np.ndarray:

@@ -4,14 +4,13 @@ format."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from arfx.core.model import Material, Part
-from arfx.core.numerics import normalise
+from arfx.core.numerics import normalise, same_rows
 from arfx.errors import InputError
-from arfx.media.model_normals import smooth_by_angle, with_tangents
+from arfx.media.model_normals import corner_normals, corner_tangents
 
 # Squared double area below which a triangle has no plane, as a fraction of the model's extent to
 # the fourth power: float32 coordinates are exact to 6e-8 of the extent, a height below is rounding.
@@ -32,63 +31,74 @@ class FileMesh:
     face_colours: np.ndarray | None = None
 
 
+Placed = tuple[FileMesh, np.ndarray, Material]  # with its place in the model, (4, 4)
+
+
 def part_of(
     mesh: FileMesh,
     model_from_mesh: np.ndarray,
     material: Material,
-    path: Path,
-) -> tuple[Part | None, int]:
-    """A part of the model, None where no face is left; and the number of faces without area.
+) -> Part | None:
+    """A part of the model, without faces that have no area; None where none is left.
 
-    model_from_mesh : (4, 4);  path : of the model, for messages
+    model_from_mesh : (4, 4)
     Raises InputError: faces of vertices that there are not, numbers that are not finite."""
     if not len(mesh.faces):
-        return None, 0
-    _check(mesh, model_from_mesh, path)
+        return None
+    _check(mesh, model_from_mesh)
     rows, faces, linear = _usable(mesh.rows), mesh.faces, model_from_mesh[:3, :3]
     side = float(np.sign(np.linalg.det(linear))) or 1.0
     rows["vertices"] = rows["vertices"] @ linear.T + model_from_mesh[:3, 3]
     if side < 0:  # a mirror turns every triangle inside out
         faces = faces[:, ::-1]
     keep = _have_area(rows["vertices"], faces)
-    lost = int((~keep).sum())
     faces = faces[keep]
     if not len(faces):
-        return None, lost
-    if mesh.face_colours is not None:  # no corner can be shared
-        rows = _of_vertices(rows, faces.ravel())
-        rows["colours"] = np.repeat(mesh.face_colours[keep], 3, 0)
-        faces = np.arange(faces.size).reshape(-1, 3)
+        return None
+    if mesh.face_colours is not None:
+        colours = np.repeat(mesh.face_colours[keep], 3, 0)
+        faces, rows = _split(faces, rows, "colours", colours)
     if "normals" in rows:
-        rows["normals"] = normalise(rows["normals"] @ (side * _cofactors(linear)).T)
-    if "normals" not in rows or not (np.abs(rows["normals"][faces]).sum(-1) > 0).all():
+        # the inverse transpose turns normals rightly under any matrix; times the determinant
+        # it is there for every one, and a mirror's turns them inwards
+        cofactors = np.cross(linear[[1, 2, 0]], linear[[2, 0, 1]])
+        rows["normals"] = normalise(rows["normals"] @ (side * cofactors).T)
+    if "normals" not in rows or not rows["normals"][faces].any(-1).all():
         rows.pop("tangents", None)  # they belong to the file's normals
-        split = not rows.keys().isdisjoint(("uv", "second_uv", "colours"))
-        faces, source, normals = smooth_by_angle(rows["vertices"], faces, split)
-        rows = _of_vertices(rows, source) | {"normals": normals}
-    if "tangents" in rows:
+        rows.pop("normals", None)
+        if len(rows) == 1:  # nothing else keeps vertices at one place apart
+            first, number = same_rows(rows["vertices"])
+            rows, faces = {"vertices": rows["vertices"][first]}, number[faces]
+        normals = corner_normals(rows["vertices"], faces)
+        faces, rows = _split(faces, rows, "normals", normals)
+    texture = material.normal_texture or material.clearcoat_normal_texture
+    part = Part(faces=faces, material=material, **rows)
+    uv = None if texture is None else part.uv_on(texture)
+    if uv is None:
+        rows.pop("tangents", None)
+    elif "tangents" in rows:
         along = normalise(rows["tangents"][:, :3] @ linear.T)
-        rows["tangents"] = np.column_stack(
-            [along, side * np.sign(rows["tangents"][:, 3])]
-        )
-    used, faces = np.unique(faces, return_inverse=True)
-    faces = faces.reshape(-1, 3).astype(np.int32)
-    return (
-        with_tangents(Part(faces=faces, material=material, **_of_vertices(rows, used))),
-        lost,
-    )
+        signs = side * np.sign(rows["tangents"][:, 3])
+        rows["tangents"] = np.column_stack([along, signs])
+    else:
+        tangents = corner_tangents(rows["vertices"], faces, rows["normals"], uv)
+        faces, rows = _split(faces, rows, "tangents", tangents)
+    used, number = np.unique(faces, return_inverse=True)
+    rows = {name: values[used] for name, values in rows.items()}
+    faces = number.reshape(-1, 3).astype(np.int32)
+    return Part(faces=faces, material=material, **rows)
 
 
-def _check(mesh: FileMesh, model_from_mesh: np.ndarray, path: Path) -> None:
+def _check(mesh: FileMesh, model_from_mesh: np.ndarray) -> None:
     given, faces = mesh.rows["vertices"], mesh.faces
     if faces.min() < 0 or faces.max() >= len(given):
         what = f"faces refer to vertex {faces.max()}, there are {len(given)}"
-        raise InputError(f"model {path}: {what}", "the file is damaged")
+        raise InputError(what, "the file is damaged")
     if not np.isfinite(model_from_mesh).all():
-        raise InputError(f"model {path}: a node's transform is not finite")
+        raise InputError("a node's transform is not finite")
     if bad := int((~np.isfinite(given)).any(1).sum()):
         what = f"{bad} of {len(given)} vertices are not finite numbers"
-        raise InputError(f"model {path}: {what}", "export it again; look for NaN or inf")
+        raise InputError(what, "export it again; look for NaN or inf")
 
 
 def _usable(rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -109,13 +119,11 @@ def _have_area(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.asarray((np.cross(b - a, c - a) ** 2).sum(1) > _DEGENERATE * extent**4)
 
 
-def _of_vertices(rows: dict[str, np.ndarray], which: np.ndarray) -> dict[str, np.ndarray]:
-    return {name: values[which] for name, values in rows.items()}
-
-
-def _cofactors(linear: np.ndarray) -> np.ndarray:
-    """The inverse transpose times the determinant: turns normals rightly under any matrix.
-
-    A mirror turns them inwards: times -1 they keep to the outside."""
-    x, y, z = linear
-    return np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)])
+def _split(
+    faces: np.ndarray, rows: dict[str, np.ndarray], name: str, values: np.ndarray
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Faces and rows of vertices of which each has one of the values (3 m, k) of its corners."""
+    corners = faces.ravel()
+    first, number = same_rows(np.column_stack([corners, values]))
+    rows = {name: given[corners[first]] for name, given in rows.items()}
+    return number.reshape(-1, 3), rows | {name: values[first]}

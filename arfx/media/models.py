@@ -6,19 +6,21 @@ repaired is in `Model.notices`. Leaves out: skins, animation, morph targets, lin
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import importlib.util
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from arfx.core.model import Material, Model, Part
+from arfx.core.model import Model, Part
 from arfx.core.opener import read_bytes
-from arfx.errors import ArfxError, ConfigError, InputError
+from arfx.errors import ArfxError, InputError
 from arfx.media.gltf_parts import GltfScene
-from arfx.media.model_files import ModelFile
-from arfx.media.model_parts import FileMesh, part_of
-from arfx.media.obj_files import ObjScene
-from arfx.media.trimesh_models import TrimeshScene
+from arfx.media.model_files import DAMAGED, ModelFile
+from arfx.media.model_parts import Placed, part_of
+from arfx.media.obj_files import obj_meshes
+from arfx.media.trimesh_models import trimesh_meshes
 
 # Formats that are read, with their up axis: glTF says y (section 3.4), COLLADA and OBJ exporters
 # default to it; scans and CAD use z. Others that trimesh knows are left out: archives, which may
@@ -40,7 +42,7 @@ MAX_EXTENT = 1e9
 _MOST_NOTICES = 20
 
 
-def load_model(path: Path | str | None, up: str | None = None) -> Model:
+def load_model(path: Path | str, up: str | None = None) -> Model:
     """Read a model file.
 
     path : one of the formats above; textures beside it, names with spaces included
@@ -48,80 +50,58 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
 
     Returns a Model in the file's own axes and units, faces counter-clockwise from outside, normals
     unit. Raises InputError: missing or unreadable file, no faces, vertices that are not finite,
-    absurd extent, texture above 8192 px; ConfigError: no path, unknown up axis."""
-    if path is None:
-        hint = '--model duck.glb, or file = "duck.glb" under [model]'
-        raise ConfigError("no model file is given", hint)
-    if up not in (None, "x", "y", "z"):
-        raise ConfigError(f"unknown up axis {up!r}", "x, y or z")
+    absurd extent, texture above 8192 px."""
     path = Path(path)
     data = read_bytes(path, "model")
-    if not data:
-        raise InputError(f"model file {path} is empty")
-    file = ModelFile(path, data, _kind(path, data))
     try:
+        file = ModelFile(path, data, _kind(path, data))
         with np.errstate(all="ignore"):
             parts = _read(file)
-    except ArfxError:
-        raise
+        model = Model(tuple(parts), up or _UP[file.kind], str(path))
+        _check_extent(model)
+    except ArfxError as e:
+        raise InputError(f"cannot read model {path}: {e.message}", e.hint) from e
     except Exception as e:  # parsers raise whatever they stumble over
-        if file.kind == "dae" and isinstance(e, ImportError):
-            what = f"cannot read model {path}: the package pycollada is not installed"
-            raise InputError(what, "convert it to GLB or OBJ") from e
-        raise file.damaged("what it holds does not fit together") from e
-    if not parts:
-        hint = "a mesh with triangles is needed; points and lines cannot be rendered"
-        raise InputError(f"model {path} has no faces", hint)
+        what = f"cannot read model {path}: what it holds does not fit together"
+        raise InputError(what, DAMAGED) from e
     notices = [f"model {path.name}: {what}" for what in dict.fromkeys(file.notices)]
     if (more := len(notices) - _MOST_NOTICES) > 0:
         notices[_MOST_NOTICES:] = [f"model {path.name}: {more} more notices"]
-    model = Model(
-        tuple(parts), up or _UP[file.kind], str(path), tuple(notices), tuple(file.files)
-    )
-    _check_extent(model)
-    return model
+    return replace(model, notices=tuple(notices), files=tuple(file.files))
 
 
 def _kind(path: Path, data: bytes) -> str:
+    if not data:
+        raise InputError("it is empty")
     kind = _BEGINNINGS.get(data[:4]) or path.suffix.lower().removeprefix(".")
     if kind == "glb" and data[:4] != b"glTF" and data.lstrip()[:1] == b"{":
         kind = "gltf"
     if kind not in _UP:
         what = f"{path.suffix or 'no suffix'} is not a format that is read"
-        hint = "a GLB, glTF, OBJ, PLY, STL, OFF or DAE file"
-        raise InputError(f"cannot read model {path}: {what}", hint)
+        raise InputError(what, "a GLB, glTF, OBJ, PLY, STL, OFF or DAE file")
     if kind == "dae" and (b"<!ENTITY" in data or b"\0" in data[:200]):
-        what = "it defines XML entities, or is not UTF-8"
-        raise InputError(f"cannot read model {path}: {what}", "export it again")
+        raise InputError("it defines XML entities, or is not UTF-8", "export it again")
+    if kind == "dae" and importlib.util.find_spec("collada") is None:
+        what = "the package pycollada is not installed"
+        raise InputError(what, "convert it to GLB or OBJ")
     return kind
 
 
 def _read(file: ModelFile) -> list[Part]:
-    scene: Iterable[tuple[FileMesh | None, np.ndarray, Material]]
-    if file.kind in ("glb", "gltf"):
-        scene = GltfScene(file)
-    elif file.kind == "obj":
-        scene = ObjScene(file)
-    else:
-        scene = TrimeshScene(file)
-    parts: list[Part] = []
-    dropped = skipped = faces = count = 0
-    for mesh, model_from_mesh, material in scene:
-        if mesh is None:
-            skipped += 1
-            continue
-        count += 1
-        faces += len(mesh.faces)
-        file.check_parts(count)
-        file.check_faces(faces)
-        part, lost = part_of(mesh, model_from_mesh, material, file.path)
-        dropped += lost
-        if part is not None:
-            parts.append(part)
-    if dropped:
-        file.notices.append(f"{dropped} faces without area left out")
-    if skipped:
-        file.notices.append(f"{skipped} sets of points or lines left out")
+    readers: dict[str, Callable[[ModelFile], Iterable[Placed]]]
+    readers = {"glb": GltfScene, "gltf": GltfScene, "obj": obj_meshes}
+    placed, faces = [], 0
+    for found in readers.get(file.kind, trimesh_meshes)(file):
+        placed.append(found)
+        faces += len(found[0].faces)
+        file.check_counts(faces, len(placed))
+    made = [part_of(*found) for found in placed]
+    parts = [part for part in made if part is not None]
+    if lost := faces - sum(len(part.faces) for part in parts):
+        file.notices.append(f"{lost} faces without area left out")
+    if not parts:
+        hint = "a mesh with triangles is needed; points and lines cannot be rendered"
+        raise InputError("it has no faces", hint)
     return parts
 
 
@@ -134,4 +114,4 @@ def _check_extent(model: Model) -> None:
             " vertices"
         )
         what = f"spans {extent:g} units up to coordinate {furthest:g}"
-        raise InputError(f"model {model.source} {what}", hint)
+        raise InputError(f"it {what}", hint)

@@ -16,7 +16,7 @@ import numpy as np
 from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, CLAMP, OPAQUE, REPEAT, Material, Texture
 from arfx.media.model_files import ModelFile
-from arfx.media.model_materials import check_material, check_numbers, resized, unit
+from arfx.media.model_materials import checked, resized
 
 # Options of maps and how many values they take at most; those that are read, or change nothing.
 _OPTIONS = dict.fromkeys(
@@ -39,104 +39,95 @@ def mtl_material(
     """Of the lines below `newmtl`. left_out : gets what is, as keys
 
     Raises InputError: numbers out of range, a texture too large or damaged."""
-    m = _Statements(file, name, lines, left_out)
-    base, _ = m.texture("map_kd")
-    glow, _ = m.texture("map_ke")
-    rough, _ = m.texture("map_pr")
-    metal, _ = m.texture("map_pm")
-    normal, scale = m.normal_texture()
+    m = _Statements(file, lines, left_out)
+    base, glow = m.texture("map_kd"), m.texture("map_ke")
+    rough, metal = m.texture("map_pr"), m.texture("map_pm")
+    bumps = next((k for k in ("norm", "map_bump", "bump") if k in m.stated), "norm")
+    normal = m.texture(bumps)
+    if normal is not None and (np.ptp(normal.picture[..., :3], axis=-1) == 0).all():
+        left_out[f"grey heights of {m.stated[bumps][0]}"] = None
+        normal = None
     display = m.colour("kd", _GREY if base is None else 1.0)
-    red, green, blue = SRGB.decode(np.clip(display, 0, 1))
-    alpha = unit(m.number("d", 1.0))
+    red, green, blue = SRGB.decode(np.clip(display, 0, 1)).tolist()
+    alpha, sheen = (
+        min(max(m.number(k, d), 0.0), 1.0) for k, d in (("d", 1.0), ("ps", 0.0))
+    )
     shine = 2.0 / (max(m.number("ns", 0.0), 0.0) + 2.0)
-    metallic, roughness = m.number("pm", 0.0), m.number("pr", shine**0.25)
-    sheen = unit(m.number("ps", 0.0))
-    emissive = m.colour("ke", 0.0 if glow is None else 1.0)
     material = Material(
         name=name,
-        base_colour=(float(red), float(green), float(blue), alpha),
+        base_colour=(red, green, blue, alpha),
         base_texture=base,
-        metallic=1.0 if metal is not None else unit(metallic),
-        roughness=1.0 if rough is not None else unit(max(roughness, 0.05)),
+        metallic=m.number("pm", 0.0) if metal is None else 1.0,
+        roughness=max(m.number("pr", shine**0.25), 0.05) if rough is None else 1.0,
         metallic_roughness_texture=_joined(rough, metal),
-        emissive=(emissive[0], emissive[1], emissive[2]),
+        emissive=m.colour("ke", 0.0 if glow is None else 1.0),
         emissive_texture=glow,
         alpha_mode=BLEND if alpha < 1.0 else OPAQUE,
         double_sided=True,  # nobody promises an OBJ's winding
         normal_texture=normal,
-        normal_scale=scale,
-        clearcoat=unit(m.number("pc", 0.0)),
-        clearcoat_roughness=unit(m.number("pcr", 0.0)),
+        normal_scale=(m.options(bumps, "-bm") or [1.0])[0],
+        clearcoat=m.number("pc", 0.0),
+        clearcoat_roughness=m.number("pcr", 0.0),
         sheen_colour=(sheen, sheen, sheen),
         sheen_roughness=_SHEEN_ROUGHNESS,
     )
-    return check_material(material, file.path)
+    return checked(material)
 
 
 class _Statements:
-    """What one material states, the last of each kind."""
+    """What one material states, the last of each kind.
+
+    stated : by its key in lower case how it is written, and its value"""
 
     def __init__(
-        self,
-        file: ModelFile,
-        name: str,
-        lines: Iterable[str],
-        left_out: dict[str, None],
+        self, file: ModelFile, lines: Iterable[str], left_out: dict[str, None]
     ) -> None:
-        self._file, self._name, self._left_out = file, name, left_out
+        self._file, self._left_out = file, left_out
         rows = (row for line in lines if len(row := line.split(None, 1)) == 2)
-        self._rows = {key.lower(): (key, value.strip()) for key, value in rows}
-        base = self._rows.get("map_kd", ("", ""))[1]
-        for key, (written, value) in self._rows.items():
+        self.stated = {key.lower(): (key, value.strip()) for key, value in rows}
+        base = self.stated.get("map_kd", ("", ""))[1]
+        for key, (written, value) in self.stated.items():
             unread = key.startswith(_OTHER_MAPS) and key not in _MAPS
             if unread and not (key == "map_ka" and value == base):
                 left_out[written] = None
 
-    def numbers(self, key: str) -> list[float]:
-        """[] where it is not stated, or no number. Raises InputError: out of range."""
-        written, value = self._rows.get(key, ("", ""))
+    def _numbers(self, key: str) -> list[float]:
+        """[] where it is not stated, or no number."""
+        written, value = self.stated.get(key, ("", ""))
         value = value.split("#")[0].strip().removeprefix("-halo").strip()
         out = numbers(value.split())
         if value and not out:
             self._left_out[f"{written} {value[:40]}"] = None
-        check_numbers(self._name, out, self._file.path)
         return out
 
     def number(self, key: str, default: float) -> float:
-        return (self.numbers(key) or [default])[0]
+        return (self._numbers(key) or [default])[0]
 
-    def colour(self, key: str, default: float) -> list[float]:
-        """Three numbers; one stands for all."""
-        return [float(x) for x in np.resize(self.numbers(key)[:3] or [default], 3)]
+    def colour(self, key: str, default: float) -> tuple[float, float, float]:
+        """One number stands for all."""
+        red, green, blue = np.resize(self._numbers(key)[:3] or [default], 3).tolist()
+        return red, green, blue
 
-    def normal_texture(self) -> tuple[Texture | None, float]:
-        """And its scale."""
-        key = next((k for k in ("norm", "map_bump", "bump") if k in self._rows), "norm")
-        texture, scale = self.texture(key)
-        if texture is not None and (np.ptp(texture.picture[..., :3], axis=-1) == 0).all():
-            self._left_out[f"grey heights of {self._rows[key][0]}"] = None
-            return None, 1.0
-        return texture, scale
+    def options(self, key: str, option: str) -> list[float]:
+        """Numbers of an option of a map."""
+        return numbers(_options(self.stated.get(key, ("", ""))[1])[0].get(option, []))
 
-    def texture(self, key: str) -> tuple[Texture | None, float]:
-        """`map_Kd -s 2 2 -o .5 0 name of a file.png`, and the factor of its option -bm."""
-        written, value = self._rows.get(key, ("", ""))
+    def texture(self, key: str) -> Texture | None:
+        """`map_Kd -s 2 2 -o .5 0 name of a file.png`. Raises InputError."""
+        written, value = self.stated.get(key, ("", ""))
         options, name = _options(value)
         for option, words in options.items():
             if option not in _READ and words[:1] != ["off"]:
                 self._left_out[f"{option} of {written}"] = None
         picture = self._file.picture(name) if name else None
         if picture is None:
-            return None, 1.0
-        scale, offset = [1.0, 1.0], [0.0, 0.0]
-        for option, place in (("-s", scale), ("-o", offset)):
-            stated = numbers(options.get(option, []))[:2]
-            place[: len(stated)] = stated
+            return None
+        wide, high = (*self.options(key, "-s"), 1.0, 1.0)[:2]
+        x, y = (*self.options(key, "-o"), 0.0, 0.0)[:2]
         # an MTL file counts v from the bottom
-        rows = [[scale[0], 0, offset[0]], [0, scale[1], 1 - scale[1] - offset[1]]]
+        matrix = np.array([[wide, 0, x], [0, high, 1 - high - y]], float)
         wrap = CLAMP if options.get("-clamp") == ["on"] else REPEAT
-        strength = (numbers(options.get("-bm", [])) or [1.0])[0]
-        return Texture(picture, 0, np.array(rows, float), (wrap, wrap)), strength
+        return Texture(picture, 0, matrix, (wrap, wrap))
 
 
 def _options(value: str) -> tuple[dict[str, list[str]], str]:
@@ -167,8 +158,9 @@ def _joined(rough: Texture | None, metal: Texture | None) -> Texture | None:
 
 
 def numbers(words: list[str]) -> list[float]:
-    """Of all words, none where one is no number."""
+    """Of all words, none where one is no finite number."""
     try:
-        return [float(word) for word in words]
+        out = [float(word) for word in words]
     except ValueError:
         return []
+    return out if np.isfinite(out).all() else []

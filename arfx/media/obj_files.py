@@ -5,135 +5,125 @@ Numbers of corners count from 1, negative ones from the last one of the file bac
 
 from __future__ import annotations
 
-import codecs
 import contextlib
 import io
-import itertools
 import re
 import unicodedata
 from collections.abc import Iterator
+from itertools import count, pairwise
 
 import numpy as np
 
-from arfx.core.colour import SRGB
 from arfx.core.model import Material
 from arfx.errors import InputError
-from arfx.media.model_files import MAX_FACES, ModelFile
-from arfx.media.model_materials import plain_material, unit_colours
-from arfx.media.model_parts import FileMesh
+from arfx.media.model_files import DAMAGED, MAX_FACES, ModelFile
+from arfx.media.model_materials import linear_colours, plain_material
+from arfx.media.model_parts import FileMesh, Placed
 from arfx.media.mtl_files import mtl_material
 
-_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _FILE = re.compile(r'"([^"]+)"|(\S.*?\.mtl(?=\s|$)|\S+)', re.IGNORECASE)
 
 
 def decoded(data: bytes) -> str:
-    """Text in UTF-8 with or without a mark, UTF-16, or Latin-1: the first that it can be."""
-    if data[:2] in _MARKS:
-        return data.decode("utf-16", "replace")
-    if b"\0" in data[:200]:  # no text in UTF-8 holds it
-        return data.decode("utf-16-le" if data[1:2] == b"\0" else "utf-16-be", "replace")
+    """Text in UTF-16 or UTF-8, with or without a mark, or Latin-1: the first that it can be."""
+    code = "utf-8"
+    if (nul := data[:200].find(b"\0")) >= 0:  # no text in UTF-8 holds it
+        code = "utf-16-le" if nul % 2 else "utf-16-be"
     try:
-        return data.decode("utf-8-sig")
+        return data.decode(code).removeprefix("\ufeff")
     except UnicodeDecodeError:
         return data.decode("latin-1")
 
 
-class ObjScene:
+def obj_meshes(file: ModelFile) -> Iterator[Placed]:
     """The faces of a file by material. Nobody promises an OBJ's winding: both sides are shown.
 
     Raises InputError: more faces or parts than can be handled; ValueError, IndexError: damage."""
-
-    def __init__(self, file: ModelFile) -> None:
-        self._file = file
-        rows: dict[str, list[str]] = {"v": [], "vt": [], "vn": [], "mtllib": []}
-        self._faces: dict[str, list[str]] = {}
-        faces = self._faces.setdefault("", [])
-        count = 0
-        text = re.sub(r"\\\r?\n", " ", decoded(file.data)).replace("\t", " ")
-        for line in io.StringIO(text, newline=None):
-            kind, _, rest = line.strip().partition(" ")
-            if kind == "f":
-                count += 1
-                file.check_faces(count)
-                faces.append(rest)
-            elif kind in rows:
-                rows[kind].append(rest)
-                if len(rows[kind]) > 3 * MAX_FACES:
-                    raise file.damaged(
-                        f"it holds more than {3 * MAX_FACES} lines of {kind}"
-                    )
-            elif kind == "usemtl":
-                faces = self._faces.setdefault(_key(rest), [])
-                file.check_parts(len(self._faces) - 1)
-        self._materials = self._read_materials(rows["mtllib"])
-        places = _table(rows["v"], 6)
-        # By what FileMesh calls them, and their number's place in a corner.
-        self._tables = {
-            ("vertices", 0): places[:, :3],
-            ("uv", 1): _table(rows["vt"], 2) * (1, -1)
-            + (0, 1),  # v counts from the bottom
-            ("normals", 2): _table(rows["vn"], 3),
+    rows: dict[str, list[str]] = {"v": [], "vt": [], "vn": [], "mtllib": []}
+    faces_of: dict[str, list[str]] = {}
+    faces = faces_of.setdefault("", [])
+    read = 0
+    text = re.sub(r"\\\r?\n", " ", decoded(file.data)).replace("\t", " ")
+    for line in io.StringIO(text, newline=None):
+        kind, _, rest = line.strip().partition(" ")
+        if kind == "f":
+            read += 1
+            file.check_counts(read)
+            faces.append(rest)
+        elif kind in rows:
+            rows[kind].append(rest)
+            if len(rows[kind]) > 3 * MAX_FACES:
+                what = f"it holds more than {3 * MAX_FACES} lines of {kind}"
+                raise InputError(what, DAMAGED)
+        elif kind == "usemtl":
+            faces = faces_of.setdefault(_key(rest), [])
+            file.check_counts(read, len(faces_of) - 1)
+    materials = _materials(file, rows["mtllib"], list(faces_of)[1:])
+    places = _table(rows["v"], 6)
+    # By what FileMesh calls them, and their number's place in a corner; v counts from the bottom.
+    tables = {
+        ("vertices", 0): places[:, :3],
+        ("uv", 1): _table(rows["vt"], 2) * (1, -1) + (0, 1),
+        ("normals", 2): _table(rows["vn"], 3),
+    }
+    coloured = np.isfinite(places[:-1, 5])
+    if coloured.any() and coloured.all():
+        most = 255.0 if np.nanmax(places[:, 3:]) > 1.0 else 1.0
+        tables["colours", 0] = linear_colours(places[:, 3:] / most)
+    elif coloured.any():
+        file.notices.append("colours of vertices left out: not all have them")
+    plain = plain_material(("colours", 0) in tables, double_sided=True)
+    for name, lines in faces_of.items():
+        triangles, corners = _triangles(lines)
+        own = {
+            kind: table[corners[:, column] - 1]
+            for (kind, column), table in tables.items()
+            if len(table) > 1
         }
-        coloured = np.isfinite(places[:-1, 5])
-        if coloured.any() and coloured.all():
-            self._tables["colours", 0] = _linear(places[:, 3:])
-        elif coloured.any():
-            file.notices.append("colours of vertices left out: not all have them")
+        if len(triangles):
+            yield FileMesh(triangles, own), np.eye(4), materials.get(name, plain)
 
-    def __iter__(self) -> Iterator[tuple[FileMesh, np.ndarray, Material]]:
-        """Of each material its triangles, (4, 4) their place in the model, and the material."""
-        plain = plain_material(("colours", 0) in self._tables, double_sided=True)
-        for name, lines in self._faces.items():
-            if not lines:
-                continue
-            faces, corners = _triangles(lines)
-            rows = {
-                kind: table[corners[:, column] - 1]
-                for (kind, column), table in self._tables.items()
-                if len(table) > 1
-            }
-            yield FileMesh(faces, rows), np.eye(4), self._materials.get(name, plain)
 
-    def _read_materials(self, lists: list[str]) -> dict[str, Material]:
-        """Those that are used and described."""
-        stated: dict[str, list[str]] = {}
-        lost = False
-        for file in dict.fromkeys(name for line in lists for name in self._names(line)):
-            try:
-                text = decoded(self._file.read(file)).replace("\\\n", " ")
-            except InputError:  # a notice tells
-                lost = True
-                continue
-            for block in re.split(r"(?mi)^\s*newmtl\b", text)[1:]:
-                name, *lines = block.splitlines()
-                stated.setdefault(_key(name), lines)
-        stated = {name.casefold(): stated[name] for name in reversed(stated)} | stated
-        found: dict[str, Material] = {}
-        missing: list[str] = []
-        left_out: dict[str, None] = {}
-        for name in list(self._faces)[1:]:
-            described = stated.get(name, stated.get(name.casefold()))
-            if described is None:
-                missing.append(name[:60])
-            else:
-                found[name] = mtl_material(self._file, name, described, left_out)
-        if missing and not lost:
-            names = ", ".join([*missing[:5], "…"][: len(missing)])
-            what = f"no MTL file describes {len(missing)} of its materials: {names}"
-            self._file.notices.append(what)
-        if left_out:
-            self._file.notices.append(f"left out of its materials: {', '.join(left_out)}")
-        return found
+def _materials(file: ModelFile, lists: list[str], used: list[str]) -> dict[str, Material]:
+    """Those that are used and described."""
+    stated: dict[str, list[str]] = {}
+    lost = False
+    for name in dict.fromkeys(name for line in lists for name in _names(file, line)):
+        try:
+            text = decoded(file.read(name)).replace("\\\n", " ")
+        except InputError:  # a notice tells
+            lost = True
+            continue
+        for block in re.split(r"(?mi)^\s*newmtl\b", text)[1:]:
+            name, *lines = block.splitlines()
+            stated.setdefault(_key(name), lines)
+    stated = {name.casefold(): stated[name] for name in reversed(stated)} | stated
+    found: dict[str, Material] = {}
+    missing: list[str] = []
+    left_out: dict[str, None] = {}
+    for name in used:
+        described = stated.get(name, stated.get(name.casefold()))
+        if described is None:
+            missing.append(name[:60])
+        else:
+            found[name] = mtl_material(file, name, described, left_out)
+    if missing and not lost:
+        names = ", ".join([*missing[:5], "…"][: len(missing)])
+        what = f"no MTL file describes {len(missing)} of its materials: {names}"
+        file.notices.append(what)
+    if left_out:
+        file.notices.append(f"left out of its materials: {', '.join(left_out)}")
+    return found
 
-    def _names(self, line: str) -> list[str]:
-        """Of a line of mtllib: one name with blanks, or several."""
-        several = [quoted or plain for quoted, plain in _FILE.findall(line)]
-        if len(several) > 1:
-            with contextlib.suppress(InputError):
-                self._file.find(line)
-                return [line]
-        return several
+
+def _names(file: ModelFile, line: str) -> list[str]:
+    """Of a line of mtllib: one name with blanks, or several."""
+    several = [quoted or plain for quoted, plain in _FILE.findall(line)]
+    if len(several) > 1:
+        with contextlib.suppress(InputError):
+            file.find(line)
+            return [line]
+    return several
 
 
 def _key(name: str) -> str:
@@ -154,24 +144,14 @@ def _table(rows: list[str], columns: int) -> np.ndarray:
     return out
 
 
-def _linear(display: np.ndarray) -> np.ndarray:
-    """(n, 4) of display colours (n, 3): up to 1, or to 255."""
-    out = unit_colours(display / (255.0 if np.nanmax(display) > 1.0 else 1.0))
-    out[:, :3] = SRGB.decode(out[:, :3])
-    return out
-
-
 def _triangles(lines: list[str]) -> tuple[np.ndarray, np.ndarray]:
     """Faces as fans: (m, 3) numbers of corners, and of these (k, 3) what the file counts by:
     place, texture coordinates, normal; 0 = none."""
     faces = [line.partition("#")[0].split() for line in lines]
-    words = list(itertools.chain.from_iterable(faces))
-    number = {word: k for k, word in enumerate(dict.fromkeys(words))}
-    around = np.array([number[word] for word in words], int)
-    sizes = np.array([len(face) for face in faces])
-    each = np.maximum(sizes - 2, 0)  # triangles of a face
-    first = np.repeat(np.cumsum(sizes) - sizes, each)
-    second = first + 1 + np.arange(len(first)) - np.repeat(np.cumsum(each) - each, each)
+    pairs = ((face[0], pair) for face in faces for pair in pairwise(face[1:]))
+    fans = [word for first, pair in pairs for word in (first, *pair)]
+    number = dict(zip(dict.fromkeys(fans), count(), strict=False))
     filled = (word.rstrip("/").replace("//", "/0/") for word in number)
     corners = np.array([(*word.split("/"), "0", "0")[:3] for word in filled], int)
-    return around[np.stack([first, second, second + 1], 1)], corners.reshape(-1, 3)
+    triangles = np.array([number[word] for word in fans], int)
+    return triangles.reshape(-1, 3), corners.reshape(-1, 3)

@@ -16,7 +16,7 @@ import numpy as np
 
 from arfx.core.opener import ffmpeg_url, read_bytes
 from arfx.errors import InputError
-from arfx.media.images import HEIF, decode_picture, open_heif
+from arfx.media.images import decode_picture, is_heif, open_picture
 
 WRITTEN = (".png", ".jpg", ".jpeg")  # endings of one picture as an output
 _SIGNATURES = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"II*\0", b"MM\0*")
@@ -40,8 +40,8 @@ def is_photo(path: Path) -> bool:
     with path.open("rb") as f:
         head = f.read(4096)
     webp = head[8:12] == b"WEBP" and b"ANIM" not in head
-    heic = head[4:8] == b"ftyp" and head[8:12] in HEIF
-    return webp or heic or (head.startswith(_SIGNATURES) and b"acTL" not in head)
+    still = head.startswith(_SIGNATURES) and b"acTL" not in head
+    return webp or still or is_heif(head)
 
 
 def open_photo(path: Path) -> Any:
@@ -100,15 +100,9 @@ def _origin(source: Path) -> tuple[bytes, bytes]:
     """Colour profile and EXIF of a photo that is upright now, empty where it has none, or
     is damaged there.
     """
-    from PIL import Image
-
     try:
         data = read_bytes(source, "picture")
-        with (
-            open_heif(data, source, "photo")
-            if data[8:12] in HEIF
-            else Image.open(io.BytesIO(data))
-        ) as picture:
+        with open_picture(data, source, "photo") as picture:
             exif = picture.getexif()
             if _ORIENTATION in exif:
                 exif[_ORIENTATION] = 1

@@ -11,11 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from arfx.core.colour import SRGB
-from arfx.core.model import BLEND, MASK, OPAQUE, Material, Texture
-from arfx.media.model_files import ModelFile
-from arfx.media.model_materials import check_material, plain_material, unit, unit_colours
-from arfx.media.model_parts import FileMesh
+from arfx.core.model import OPAQUE, Material, Texture
+from arfx.media.model_files import NO_TRIANGLES, ModelFile
+from arfx.media.model_materials import checked, linear_colours, plain_material
+from arfx.media.model_parts import FileMesh, Placed
 from arfx.media.obj_files import decoded
 
 _FACES_OF = {
@@ -25,100 +24,94 @@ _FACES_OF = {
 _PLY_UV = re.compile(r"(\nproperty\s.*\s)(texture_u|texture_v|texcoord|[uvst])\s*(?=\n)")
 
 
-class TrimeshScene:
+def trimesh_meshes(file: ModelFile) -> Iterator[Placed]:
     """All meshes of a file. Nobody promises the winding of these formats: both sides are shown.
 
     Raises InputError: limits, damaged materials; what trimesh's parsers raise."""
+    import trimesh
 
-    def __init__(self, file: ModelFile) -> None:
-        import trimesh
-
-        logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # we say it ourselves
-        file.check_faces(_stated_faces(file.data, file.kind))
-        self._file = file
-        self._materials: dict[int, tuple[Any, Material]] = {}  # both: ids stay unique
-        self._texture: Texture | None = None  # of a PLY
-        self._scene = trimesh.load_scene(
-            io.BytesIO(self._ply() if file.kind == "ply" else file.data),
-            file_type=file.kind,
-            resolver=file,  # type: ignore[arg-type]
-            process=False,
-        )
-        file.check_parts(len(self._scene.graph.nodes_geometry))
-
-    def __iter__(self) -> Iterator[tuple[FileMesh | None, np.ndarray, Material]]:
-        """Each set of triangles, (4, 4) its place in the model, and its material; None for points
-        and lines."""
-        for node in self._scene.graph.nodes_geometry:
-            model_from_mesh, name = self._scene.graph[node]
-            mesh = self._scene.geometry[name]
-            if not hasattr(mesh, "faces"):
-                yield None, np.eye(4), Material()
-                continue
-            given = _mesh(mesh)
-            has_colours = "colours" in given.rows or given.face_colours is not None
-            material = self._material(mesh.visual, has_colours)
-            yield given, np.asarray(model_from_mesh, float), material
-
-    def _ply(self) -> bytes:
-        """The file, without what trimesh would not read: other text than UTF-8, and, where no
-        texture is shown, texture coordinates, which make it drop colours."""
-        start, end, body = self._file.data.partition(b"end_header")
-        head = decoded(start)
-        named = re.findall(r"(?i)\ncomment\s+TextureFile\s+(.*)", head)
-        read = [p for name in named[:1] if (p := self._file.picture(name)) is not None]
-        if read and _PLY_UV.search(head):
-            self._texture = Texture(read[0])
-            if re.search(r"\nproperty\s.*\sred\s", head):
-                what = "its colours by vertex are left out: its texture is shown"
-                self._file.notices.append(what)
-        else:
-            head = _PLY_UV.sub(r"\1left_out_\2", head)
-        told = int(self._texture is not None or (bool(named) and not read))
-        if len(named) > told:
-            what = f"{len(named) - told} of its textures left out: one, with coordinates, is shown"
-            self._file.notices.append(what)
-        head = re.sub(r"(?i)\ncomment\s.*", "", head)
-        return head.encode() + end + body
-
-    def _material(self, visual: Any, has_colours: bool) -> Material:
-        given: Any = getattr(visual, "material", None)
-        if self._texture is not None:
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # we say it ourselves
+    file.check_counts(_stated_faces(file.data, file.kind))
+    data, texture = _ply(file) if file.kind == "ply" else (file.data, None)
+    scene = trimesh.load_scene(
+        io.BytesIO(data),
+        file_type=file.kind,
+        resolver=file,  # type: ignore[arg-type]
+        process=False,
+    )
+    materials: dict[int, Material] = {}  # the scene keeps what is known by its id
+    for node in scene.graph.nodes_geometry:
+        model_from_mesh, name = scene.graph[node]
+        mesh: Any = scene.geometry[name]
+        if not hasattr(mesh, "faces"):
+            file.notices.append(NO_TRIANGLES)
+            continue
+        found = _mesh(mesh)
+        given = getattr(mesh.visual, "material", None)
+        if texture is not None:
             white = (1.0, 1.0, 1.0, 1.0)
-            return Material(
-                "default", white, self._texture, roughness=1.0, double_sided=True
+            material = Material(
+                "default", white, texture, roughness=1.0, double_sided=True
             )
-        if type(given).__name__ != "PBRMaterial":  # else trimesh's own grey
-            return plain_material(has_colours, double_sided=True)
-        if id(given) not in self._materials:
-            material = check_material(self._of_collada(given), self._file.path)
-            self._materials[id(given)] = given, material
-        return self._materials[id(given)][1]
+        elif type(given).__name__ != "PBRMaterial":  # else trimesh's own grey
+            coloured = "colours" in found.rows or found.face_colours is not None
+            material = plain_material(coloured, double_sided=True)
+        else:
+            if id(given) not in materials:
+                materials[id(given)] = _of_collada(file, given)
+            material = materials[id(given)]
+        yield found, np.asarray(model_from_mesh, float), material
 
-    def _of_collada(self, given: Any) -> Material:
-        mode = str(given.alphaMode or OPAQUE).upper()
-        factor = 255 if given.baseColorFactor is None else given.baseColorFactor
-        red, green, blue, alpha = (float(c) for c in np.resize(factor, 4) / 255.0)
-        glow = (
-            [0.0] * 3 if given.emissiveFactor is None else np.ravel(given.emissiveFactor)
+
+def _ply(file: ModelFile) -> tuple[bytes, Texture | None]:
+    """The file, without what trimesh would not read: other text than UTF-8, and, where no
+    texture is shown, texture coordinates, which make it drop colours; and the texture."""
+    start, end, body = file.data.partition(b"end_header")
+    head = decoded(start)
+    named = re.findall(r"(?i)\ncomment\s+TextureFile\s+(.*)", head)
+    picture = file.picture(named[0]) if named else None
+    told = int(bool(named) and picture is None)
+    texture = None
+    if picture is not None and _PLY_UV.search(head):
+        texture, told = Texture(picture), 1
+        if re.search(r"\nproperty\s.*\sred\s", head):
+            what = "its colours by vertex are left out: its texture is shown"
+            file.notices.append(what)
+    else:
+        head = _PLY_UV.sub(r"\1left_out_\2", head)
+    if len(named) > told:
+        what = f"{len(named) - told} of its textures left out: one, with coordinates, is shown"
+        file.notices.append(what)
+    head = re.sub(r"(?i)\ncomment\s.*", "", head)
+    return head.encode() + end + body, texture
+
+
+def _of_collada(file: ModelFile, given: Any) -> Material:
+    factor = 255 if given.baseColorFactor is None else given.baseColorFactor
+    red, green, blue, alpha = (float(c) for c in np.resize(factor, 4) / 255.0)
+    glow = [0.0] * 3 if given.emissiveFactor is None else given.emissiveFactor
+    metallic, roughness = given.metallicFactor, given.roughnessFactor
+    # laid by the first texture coordinates as they are
+    base, shining = (
+        None if (picture := file.texels(image)) is None else Texture(picture)
+        for image in (
+            given.baseColorTexture,
+            given.emissiveTexture if any(glow) else None,
         )
-        metallic, roughness = given.metallicFactor, given.roughnessFactor
-        return Material(
+    )
+    return checked(
+        Material(
             name=str(given.name or "default"),
             base_colour=(red, green, blue, alpha),
-            base_texture=self._laid(given.baseColorTexture),
-            metallic=1.0 if metallic is None else unit(metallic),
-            roughness=1.0 if roughness is None else unit(roughness),
+            base_texture=base,
+            metallic=1.0 if metallic is None else float(metallic),
+            roughness=1.0 if roughness is None else float(roughness),
             emissive=(float(glow[0]), float(glow[1]), float(glow[2])),
-            emissive_texture=self._laid(given.emissiveTexture) if any(glow) else None,
-            alpha_mode=mode if mode in (OPAQUE, MASK, BLEND) else OPAQUE,
+            emissive_texture=shining,
+            alpha_mode=str(given.alphaMode or OPAQUE),
             double_sided=bool(given.doubleSided),
         )
-
-    def _laid(self, image: Any) -> Texture | None:
-        """By the first texture coordinates as they are."""
-        picture = self._file.texels(image)
-        return None if picture is None else Texture(picture)
+    )
 
 
 def _stated_faces(data: bytes, kind: str) -> int:
@@ -141,13 +134,6 @@ def _mesh(mesh: Any) -> FileMesh:
         # trimesh counts v from the bottom
         rows["uv"] = np.array(uv, float)[:, :2] * (1, -1) + (0, 1)
     if visual.kind == "vertex":
-        rows["colours"] = _linear(visual.vertex_colors)
-    by_face = _linear(visual.face_colors) if visual.kind == "face" else None
+        rows["colours"] = linear_colours(visual.vertex_colors)
+    by_face = linear_colours(visual.face_colors) if visual.kind == "face" else None
     return FileMesh(np.asarray(mesh.faces), rows, by_face)
-
-
-def _linear(display: Any) -> np.ndarray:
-    """(n, 4) of display colours (sRGB), (n, 3 or 4)."""
-    out = unit_colours(np.asarray(display))
-    out[:, :3] = SRGB.decode(out[:, :3])
-    return out

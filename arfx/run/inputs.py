@@ -26,7 +26,6 @@ from arfx.errors import ConfigError, InputError
 from arfx.media.cameras import (
     calibration_claims,
     camera_warnings,
-    claim_warnings,
     load_camera,
 )
 from arfx.media.clip import ClipInfo, probe
@@ -181,8 +180,7 @@ def job_model(config: JobConfig) -> Model:
     Raises as load_model does.
     """
     path = config.model.file
-    if path is None:
-        return load_model(path, config.model.up)  # which says what is wrong
+    assert path is not None
     stat = regular(path, "model").stat()
     # absolute, as in the frozen job: a worker of this process asks for the same file and
     # gets the same model
@@ -207,10 +205,7 @@ def open_clip(config: JobConfig) -> tuple[ClipInfo, Camera, list[str]]:
         )
     else:
         loaded = load_camera(config.input.camera)
-        notices += [
-            *camera_warnings(loaded),
-            *claim_warnings(loaded, calibration_claims(config.input.camera)),
-        ]
+        notices += camera_warnings(loaded, calibration_claims(config.input.camera))
         camera = loaded.scaled_to(info.width, info.height, info.pixel_aspect)
         if camera is not loaded:
             notices.append(

@@ -17,7 +17,7 @@ from arfx.core.camera import BROWN, FISHEYE, Camera
 from arfx.errors import InputError
 from arfx.media.cameras import (
     calibration_claims,
-    claim_warnings,
+    camera_warnings,
     load_camera,
     save_camera,
 )
@@ -198,9 +198,9 @@ def test_colmap_pixel_centres_are_half_a_pixel_off(tmp_path: Path) -> None:
     )
     with pytest.raises(InputError, match="2 cameras"):
         load_camera(path)
-    same(load_camera(f"{path}#1"), k, np.zeros(4))
+    same(load_camera(f"{path}#1"), k, np.zeros(0))
     assert load_camera(f"{path}#2").model == FISHEYE
-    with pytest.raises(InputError, match="FOV"):
+    with pytest.raises(InputError, match="fov"):
         load_camera(write(tmp_path, "cameras.txt", "1 FOV 640 480 800 800 320 240 .9\n"))
 
 
@@ -234,7 +234,7 @@ cam1:
         (752, 480),
     )
     assert load_camera(f"{path}#cam1").model == FISHEYE
-    with pytest.raises(InputError, match="omni-radtan"):
+    with pytest.raises(InputError, match="omni"):
         load_camera(
             write(tmp_path, "o.yaml", chain.split("cam1:")[0].replace("pinhole", "omni"))
         )
@@ -358,7 +358,7 @@ def test_a_calibration_that_calls_itself_poor_is_one_notice(
 ) -> None:
     path = tmp_path / "camera.yaml"
     save_camera(path, Camera(640, 480, K, D5), **claims)
-    notices = claim_warnings(load_camera(path), calibration_claims(path))
+    notices = camera_warnings(load_camera(path), calibration_claims(path))
     assert len(notices) == bool(said) and all(words in notices[0] for words in said)
 
 
@@ -402,7 +402,7 @@ def test_colmaps_binary_model(tmp_path: Path) -> None:
     path.write_bytes(struct.pack("<Q", 2) + b"".join(rows))
     shifted = K.copy()
     shifted[:2, 2] -= 0.5
-    same(load_camera(f"{path}#1"), shifted, np.zeros(4))
+    same(load_camera(f"{path}#1"), shifted, np.zeros(0))
     assert load_camera(f"{path}#7").fx == 60
     path.write_bytes(struct.pack("<Q", 2) + rows[0])
     with pytest.raises(InputError, match="not text"):

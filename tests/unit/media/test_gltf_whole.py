@@ -324,7 +324,7 @@ def test_lines_are_told_and_what_is_below_an_empty_mesh_keeps_its_place(tmp_path
     ]
     model = w.load(tmp_path)
     assert model.bounds[0] == pytest.approx([5, 0, 0])
-    assert "1 sets of points or lines left out" in " ".join(model.notices)
+    assert "points and lines left out" in " ".join(model.notices)
 
 
 def test_scenes(tmp_path):

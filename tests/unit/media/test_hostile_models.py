@@ -212,7 +212,7 @@ def put(*keys: Any) -> Any:
         put("accessors", 0, "bufferView", 7),
         put("accessors", "x"),
         put("accessors", [None]),
-        put("bufferViews", 0, "byteLength", 10**9),
+        put("bufferViews", 0, "byteOffset", 10**9),
         put("nodes", [{"mesh": 0, "children": [0]}]),
         put("nodes", [{"children": [1]}, {"mesh": 0, "children": [0]}]),
         put("nodes", [{"mesh": 5}]),
@@ -309,20 +309,22 @@ def test_damage_is_told_in_words(tmp_path: Path, name: str, content: bytes) -> N
     assert not re.search(PYTHON, str(e.value))
 
 
-def test_mtl_numbers_that_are_not_finite_are_refused(tmp_path: Path) -> None:
-    for line in ("Kd nan 0 0", "d nan", "Ns nan", "Kd 1e999 0 0", "Kd 1e308 0 0"):
-        with pytest.raises(InputError, match="not finite"):
-            load_model(obj(tmp_path, "a.mtl", f"newmtl m\n{line}\n"))
+def test_mtl_numbers_that_are_not_finite_or_huge_are_no_numbers(tmp_path: Path) -> None:
+    for line in ("Kd nan 0 0", "d nan", "Ns nan", "Kd 1e999 0 0"):
+        (notice,) = load_model(obj(tmp_path, "a.mtl", f"newmtl m\n{line}\n")).notices
+        assert line in notice
+    with pytest.raises(InputError, match="not finite"):
+        load_model(obj(tmp_path, "a.mtl", "newmtl m\nKe 1e308 0 0\n"))
 
 
 def test_instances_are_counted_before_anything_is_built(tmp_path: Path) -> None:
     many = header(nodes=[{"mesh": 0}] * 20_000, scenes=[{"nodes": list(range(20_000))}])
-    with pytest.raises(InputError, match="10001 parts"):
+    with pytest.raises(InputError, match="more than 10000 parts"):
         load_model(gltf(tmp_path, many))
     big = header(nodes=[{"mesh": 0}] * 5000, scenes=[{"nodes": list(range(5000))}])
     big["accessors"].append({"componentType": 5125, "count": 30_000, "type": "SCALAR"})
     big["meshes"][0]["primitives"][0]["indices"] = 1
-    with pytest.raises(InputError, match="50000000 faces"):
+    with pytest.raises(InputError, match="more than 5000000 faces"):
         load_model(gltf(tmp_path, big))
 
 
@@ -331,7 +333,7 @@ def test_what_moves_a_model_is_told_to_be_left_out(tmp_path: Path) -> None:
         animations=[{"channels": [], "samplers": []}], skins=[{"joints": [0]}]
     )
     (notice,) = load_model(gltf(tmp_path, moving)).notices
-    assert "1 animation and 1 skin left out" in notice
+    assert "animations and skins left out" in notice
 
 
 def test_content_tells_the_format(tmp_path: Path) -> None:

@@ -12,9 +12,9 @@ import trimesh
 from PIL import Image
 
 from arfx.core.colour import SRGB
-from arfx.core.model import BLEND, MASK, OPAQUE
-from arfx.errors import ConfigError, InputError
-from arfx.media.model_normals import smooth_by_angle
+from arfx.core.model import BLEND, MASK, OPAQUE, Material, Part
+from arfx.errors import InputError
+from arfx.media.model_parts import FileMesh, part_of
 from arfx.media.models import load_model
 
 
@@ -154,10 +154,18 @@ def test_stl_cube_gets_sharp_edges_and_a_sphere_smooth_ones(tmp_path: Path) -> N
 def test_smoothing_keeps_apart_what_the_file_keeps_apart() -> None:
     v = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 0], [1, 1, 0], [0, 1, 0]])
     f = np.array([[0, 1, 2], [3, 4, 5]])
-    faces, source, normals = smooth_by_angle(v, f, split=True)
-    assert sorted(source) == [0, 1, 2, 3, 4, 5] and (source[faces] == f).all()
-    np.testing.assert_allclose(normals, [[0, 0, 1]] * 6)
-    assert len(smooth_by_angle(v, f, split=False)[1]) == 4
+
+    def part(**rows: np.ndarray) -> Part:
+        mesh = FileMesh(f, {"vertices": v, **rows})
+        out = part_of(mesh, np.eye(4), Material())
+        assert out is not None and (out.vertices[out.faces] == v[f]).all()
+        np.testing.assert_allclose(out.normals, [[0, 0, 1]] * len(out.vertices))
+        return out
+
+    uv = np.arange(12.0).reshape(6, 2)
+    apart = part(uv=uv)
+    assert apart.uv is not None and (apart.uv[apart.faces] == uv[f]).all()
+    assert len(apart.vertices) == 6 and len(part().vertices) == 4
 
 
 def test_faces_without_area_are_dropped_and_counted(tmp_path: Path) -> None:
@@ -192,15 +200,11 @@ def test_refusals(tmp_path: Path, name: str, content: str, message: str) -> None
     assert str(tmp_path / name) in e.value.message and "\n" not in e.value.message
 
 
-def test_missing_file_folder_and_bad_axis(tmp_path: Path) -> None:
+def test_missing_file_and_folder(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         load_model(tmp_path / "no.glb")
     with pytest.raises(InputError, match="is a folder"):
         load_model(tmp_path)
-    with pytest.raises(ConfigError, match="no model"):
-        load_model(None)
-    with pytest.raises(ConfigError, match="up axis"):
-        load_model(tmp_path / "no.glb", "w")
 
 
 def test_a_texture_beyond_the_limit_is_refused(tmp_path: Path) -> None:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from arfx.core.model import CLAMP, MIRROR, REPEAT, TEXTURE_SLOTS, Material, Part, Texture
-from arfx.media.model_normals import corner_tangents, with_tangents
+from arfx.core.model import CLAMP, MIRROR, REPEAT, TEXTURE_SLOTS, Material, Texture
+from arfx.media.model_normals import corner_tangents
+from arfx.media.model_parts import FileMesh, part_of
 from arfx.media.models import load_model
 from tests.unit.media.test_gltf_whole import CORNERS, SQUARE, Writer
 
@@ -181,14 +182,18 @@ def test_tangents_are_mikktspaces(last, expected, signs):
 
 def test_vertices_are_split_where_tangents_differ_alone():
     uv = np.array([[0.5, 0.5], [0.9, 0.4], [0.6, 0.1], [0.1, 0.3], [0.5, 0.2]])
-    material = Material(normal_texture=Texture(np.zeros((1, 1, 4), np.uint8)))
-    part = with_tangents(Part(FAN, FAN_FACES, FAN_NORMALS, material, uv))
-    assert len(part.vertices) == 8  # the middle, and both ends of the fold
-    assert (part.vertices[part.faces] == FAN[FAN_FACES]).all()
-    assert part.tangents[part.faces].reshape(-1, 4)[:, :3] == pytest.approx(
+    rows = {"vertices": FAN, "normals": FAN_NORMALS, "uv": uv}
+
+    def part(material):
+        return part_of(FileMesh(FAN_FACES, rows), np.eye(4), material)
+
+    bumpy = part(Material(normal_texture=Texture(np.zeros((1, 1, 4), np.uint8))))
+    assert len(bumpy.vertices) == 8  # the middle, and both ends of the fold
+    assert (bumpy.vertices[bumpy.faces] == FAN[FAN_FACES]).all()
+    assert bumpy.tangents[bumpy.faces].reshape(-1, 4)[:, :3] == pytest.approx(
         np.array(FOLDED), abs=1e-5
     )
-    assert with_tangents(Part(FAN, FAN_FACES, FAN_NORMALS, uv=uv)).tangents is None
+    assert part(Material()).tangents is None
 
 
 def test_tangents_are_finite_where_the_picture_covers_nothing():
