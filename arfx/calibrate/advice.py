@@ -143,11 +143,7 @@ def figures(
     """What LIMITS judges. The projection's is that of nine tenths of the picture: its very
     corners are nearly always extrapolated, and are reported apart."""
     width = fitted.camera.width
-    projection_sd = (
-        float(np.quantile(projection_sd_px, 0.9))
-        if projection_sd_px.size
-        else float("inf")
-    )
+    projection_sd = float(np.quantile(projection_sd_px, 0.9))
     return {
         "views": float(len(fitted.views)),
         "focal_sd_percent": 100 * focal_sd_px / fitted.camera.fx,
@@ -181,7 +177,7 @@ class Coverage(NamedTuple):
     azimuth_deg : (V,) of each view,
     the board's normal against the optical axis, and where its near edge points in the
     picture (0 right, 90 down);
-    span_deg : largest angle between the normals of two views; tilted_to : (4,) views tilted
+    tilted_to : (4,) views tilted
     by more than TILTED_DEG with the near edge on each of SIDES"""
 
     counts: np.ndarray
@@ -189,7 +185,6 @@ class Coverage(NamedTuple):
     radius: float
     tilt_deg: np.ndarray
     azimuth_deg: np.ndarray
-    span_deg: float
     tilted_to: np.ndarray
 
     @property
@@ -215,7 +210,6 @@ def coverage(fitted: Fit) -> Coverage:
     tilt = np.degrees(arccos(-normals[:, 2]))
     # the normal leans away from the near edge, so the near edge lies on the opposite side
     azimuth = np.degrees(np.arctan2(-normals[:, 1], -normals[:, 0])) % 360
-    span = float(np.degrees(arccos((normals @ normals.T).min())))
     quarter = ((azimuth + 45) % 360 // 90).astype(int)
     centre = np.array([(w - 1) / 2, (h - 1) / 2])
     radius = float(np.linalg.norm(points - centre, axis=1).max() / np.hypot(w / 2, h / 2))
@@ -225,7 +219,6 @@ def coverage(fitted: Fit) -> Coverage:
         radius,
         tilt,
         azimuth,
-        span,
         np.bincount(quarter[tilt > TILTED_DEG], minlength=4),
     )
 
@@ -235,9 +228,8 @@ def projection_jacobian(fitted: Fit) -> np.ndarray:
     camera taken out.
 
     A change of intrinsics that only turns the picture is no error for anyone who estimates
-    the pose with them. Pixels that no direction maps to are left out."""
+    the pose with them. The camera's distortion must not fold inside (`solve.one_to_one`)."""
     rays = fitted.camera.directions(grid_pixels(fitted.camera, *GRID))
-    rays = rays[np.isfinite(rays).all(-1)]
     j = cv2.projectPoints(
         rays, np.zeros(3), np.zeros(3), fitted.camera.matrix, fitted.camera.distortion
     )[1]

@@ -13,7 +13,6 @@ Source: Förstner and Gülch 1987 (cornerSubPix); Duda and Frese 2018 (the secto
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -63,7 +62,12 @@ class View:
     finder: str
     sharpness: float = 0.0
     upside_down: bool | None = None
-    OF_CORNERS: ClassVar = ("ids", "board_m", "pixels")
+
+    def without(self, number: int) -> View:
+        """Without one of its corners."""
+        names = ("ids", "board_m", "pixels")
+        rest = {name: np.delete(getattr(self, name), number, 0) for name in names}
+        return replace(self, **rest)
 
 
 def find_view(gray: np.ndarray, spec: BoardSpec, name: str) -> View | None:

@@ -66,12 +66,11 @@ def _coverage(result: Calibration) -> Figure:
     picture = figure.add_subplot(1, 2, 1)
     tilts = figure.add_subplot(1, 2, 2, projection="polar")
     camera, seen = result.fitted.camera, result.seen
-    if result.projection_sd_px.size == GRID[0] * GRID[1]:
-        x, y = grid_pixels(camera, *GRID).reshape(*GRID[::-1], 2).transpose(2, 0, 1)
-        values = result.projection_sd_px.reshape(x.shape)
-        filled = picture.contourf(x, y, values, levels=12, cmap="YlOrRd", alpha=0.7)
-        words = "projection uncertainty (1 standard deviation), px"
-        figure.colorbar(filled, ax=picture, label=words, shrink=0.8)
+    x, y = grid_pixels(camera, *GRID).T.reshape(2, *GRID[::-1])
+    values = result.projection_sd_px.reshape(x.shape)
+    filled = picture.contourf(x, y, values, levels=12, cmap="YlOrRd", alpha=0.7)
+    words = "projection uncertainty (1 standard deviation), px"
+    figure.colorbar(filled, ax=picture, label=words, shrink=0.8)
     for view in result.fitted.views:
         picture.plot(*view.pixels.T, ".", markersize=2.5)
     views = len(result.fitted.views)
