@@ -26,21 +26,12 @@ from arfx.core.marker import MarkerSpec
 from arfx.core.opener import parse_toml, read_text
 from arfx.core.toml_text import line_of
 from arfx.core.units import length_m
-from arfx.errors import ArfxError, ConfigError, on_one_line
+from arfx.errors import ConfigError, on_one_line
 
 
 def _read(parse: Callable[[str], Any]) -> BeforeValidator:
-    """Texts through `parse`, whose ArfxError becomes one of pydantic's; other values as
-    they are.
-    """
-
-    def read(value: Any) -> Any:
-        try:
-            return parse(value) if isinstance(value, str) else value
-        except ArfxError as e:
-            raise ValueError(on_one_line(str(e))) from None
-
-    return BeforeValidator(read)
+    """Texts through `parse`, which raises ConfigError; other values as they are."""
+    return BeforeValidator(lambda v: parse(v) if isinstance(v, str) else v)
 
 
 DEMO_SCENE = Path(__file__).with_name(
@@ -404,7 +395,7 @@ def parse_scene(text: str, where: str = "scene.toml") -> SceneFile:
         for problem in e.errors():
             line = line_of(text, problem["loc"])
             key = ".".join(map(str, problem["loc"])) or "scene"
-            message = problem["msg"].removeprefix("Value error, ")
+            message = on_one_line(problem["msg"].removeprefix("Value error, "))
             lines.append(f"{where}{f':{line}' if line else ''}: {key}: {message}")
         raise ConfigError(
             "\n".join(lines), "arfx/synth/description.py documents every key"

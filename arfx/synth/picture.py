@@ -101,31 +101,32 @@ class Picture:
         cuts = np.arange(_RAYS, len(pixels), _RAYS)
         if roll:
             cuts = np.searchsorted(pixels[:, 0], range(_BAND_ROWS, rows, _BAND_ROWS))
-        seen = cache(partial(self._seen, frame))
+        seen, spans = cache(partial(self._seen, frame)), footprint * _spans(rays)
 
         def one(part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            y, x = part.T
-            first = y[0] // _BAND_ROWS * _BAND_ROWS
+            at = tuple(part.T)
+            first = part[0, 0] // _BAND_ROWS * _BAND_ROWS
             middle = (first + min(first + _BAND_ROWS, rows)) / 2
             room, pose = seen(late_s + (roll and roll * (middle / rows - 0.5)))
-            return radiance(self._through_lens(rays, y, x, pose, footprint, seed), room)
+            numbers = np.ravel_multi_index(at, chosen.shape)
+            return radiance(
+                self._through_lens(rays[at], spans[at], numbers, pose, seed), room
+            )
 
         parts = filter(len, np.split(pixels, cuts))
-        light, numbers = zip(*parallel_map(one, parts), strict=True)
-        return np.concatenate(light), np.concatenate(numbers)
+        light, met = zip(*parallel_map(one, parts), strict=True)
+        return np.concatenate(light), np.concatenate(met)
 
     def _through_lens(
         self,
-        rays: np.ndarray,
-        y: np.ndarray,
-        x: np.ndarray,
+        ahead: np.ndarray,
+        spans: np.ndarray,
+        number: np.ndarray,
         pose: Pose,
-        footprint: float,
         seed: int,
     ) -> Rays:
-        """In the room, through each pixel (n,) and a random point of the aperture."""
-        lens, number = self.world.scene.lens, y * rays.shape[1] + x
-        ahead, starts = rays[y, x], np.zeros((len(y), 3))
+        """In the room, through pixels (n,) of these numbers and a random point of the aperture."""
+        lens, starts = self.world.scene.lens, np.zeros((len(number), 3))
         if lens.aperture_m > 0:
             radius = 0.5 * lens.aperture_m * np.sqrt(_noise(seed, 2 * number))
             angle = 2 * np.pi * _noise(seed, 2 * number + 1)
@@ -135,7 +136,7 @@ class Picture:
         return Rays(
             starts @ turn + pose.translation_m,
             ahead @ turn[:2] + turn[2],
-            footprint * _footprints(rays, y, x) @ turn[:2],
+            spans @ turn[:2],
             2 * np.pi * _noise(seed + 7, number),
         )
 
@@ -164,13 +165,12 @@ class Picture:
             return out
         t0, t1 = (float(world.frame_times_s[i]) for i in (frame, frame + 1))
         rays = self.rays(0.0, 0.0)
-        points = (
-            np.concatenate([rays, np.ones_like(rays[..., :1])], -1) * depth[..., None]
-        )
+        points = np.dstack([rays, np.ones(depth.shape)]) * depth[..., None]
         room_from_camera = world.camera_at(frame, t0).inverse()
         next_camera = world.camera_at(frame + 1, t1)
         before, after = world.poses(t0), world.poses(t1)
-        grid = np.moveaxis(np.indices(depth.shape)[::-1], 0, -1)
+        y, x = np.indices(depth.shape)
+        grid = np.dstack([x, y])
         for number in np.unique(owner[owner > 0]):
             here = owner == number
             move = (
@@ -183,16 +183,14 @@ class Picture:
         return out
 
 
-def _footprints(rays: np.ndarray, y: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """(n, 2, 2) what pixels span, right and down, as camera directions without z."""
-    height, width = rays.shape[:2]
-    here = rays[y, x]
-    right = rays[y, np.where(x + 1 < width, x + 1, x - 1)] - here
-    down = rays[np.where(y + 1 < height, y + 1, y - 1), x] - here
+def _spans(rays: np.ndarray) -> np.ndarray:
+    """(h, w, 2, 2) what pixels span, right and down, as camera directions without z."""
+    right = np.diff(rays, axis=1, append=rays[:, -2:-1])
+    down = np.diff(rays, axis=0, append=rays[-2:-1])
     # a neighbour beyond the lens's field: assume square pixels
-    right = np.where(np.isfinite(right), right, down[:, ::-1] * [1, -1])
-    down = np.where(np.isfinite(down), down, right[:, ::-1] * [-1, 1])
-    return np.nan_to_num(np.stack([right, down], 1))
+    right = np.where(np.isfinite(right), right, down[..., ::-1] * [1, -1])
+    down = np.where(np.isfinite(down), down, right[..., ::-1] * [-1, 1])
+    return np.nan_to_num(np.stack([right, down], 2))
 
 
 def _noise(seed: int, numbers: np.ndarray) -> np.ndarray:

@@ -146,7 +146,7 @@ WRONG = {
     "m.csv: no rows": ("m.csv", "clip,fit\n\n", ["holds no row"]),
     "m.csv: unknown": ("m.csv", "clip,fitt\na,1cm\nb,2cm\n", ["no setting 'fitt'", "m.csv:1", "did you mean 'fit'"]),
     "m.csv: a value": ("m.csv", "clip,fit\na,1cm\n\nb,15\n", ["model.fit", "not a length", "m.csv:4"]),
-    "m.csv: a stage's": ("m.csv", "clip,dof.fnumbr\na,2\n", ["'dof' has no setting 'fnumbr'", "m.csv:2", "'fnumber'"]),
+    "m.csv: a stage's": ("m.csv", "clip,dof.fnumbr\na,2\n", ["[dof] has no setting 'fnumbr'", "m.csv:2", "'fnumber'"]),
     "m.csv: too many cells": ("m.csv", "clip,fit\na,1cm,x\n", ["3 cells under 2 heads", "m.csv:2"]),
     "m.csv: two columns": ("m.csv", "clip,clip\na,b\n", ["column 'clip' is there twice", "m.csv:1"]),
     "m.csv: quote": ("m.csv", 'clip,fit\na,"1cm\n', ["not valid CSV", "m.csv:2"]),
