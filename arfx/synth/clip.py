@@ -229,7 +229,7 @@ def frame_truth(world: World, n: int) -> FrameTruth:
         markers,
         gain_at(scene, time_s),
         scene.exposure.bias,
-        world.ambient.tolist(),
+        world.room.ambient.tolist(),
         lights,
     )
 

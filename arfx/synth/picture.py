@@ -5,7 +5,7 @@ Samples over pixel, shutter and lens are averaged in linear light."""
 
 from __future__ import annotations
 
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 
 import cv2
 import numpy as np
@@ -21,7 +21,7 @@ from arfx.synth.world import World
 # a rolling shutter moves the scene once per band: under 2 px of motion in hand-held footage
 _BAND_ROWS = 24
 _RAYS = 8192  # in one array: some megabytes of numbers
-_KEEP_BYTES = 400e6  # rays kept from frame to frame
+_KEEP_BYTES = 400_000_000  # rays kept from frame to frame
 
 
 class Picture:
@@ -38,20 +38,15 @@ class Picture:
             self.side = max(
                 self.side, 4
             )  # fewer than 16 moments or lens points leave separate copies of an edge
-        self._rays: dict[tuple[float, float], np.ndarray] = {}
+        kept = _KEEP_BYTES // (16 * world.camera.width * world.camera.height)
+        self.rays = lru_cache(kept)(self._rays)
 
-    def rays(self, dx: float, dy: float) -> np.ndarray:
+    def _rays(self, dx: float, dy: float) -> np.ndarray:
         """(h, w, 2) camera directions at pixel centres shifted by (dx, dy) px; NaN where
         the lens maps nothing.
         """
-        if (dx, dy) in self._rays:
-            return self._rays[dx, dy]
-        camera = self.world.camera
-        y, x = np.mgrid[0 : camera.height, 0 : camera.width].astype(float)
-        made = camera.normalised(np.stack([x + dx, y + dy], -1))
-        if made.nbytes * (len(self._rays) + 1) < _KEEP_BYTES:
-            self._rays[dx, dy] = made
-        return made
+        y, x = np.indices((self.world.camera.height, self.world.camera.width), float)
+        return self.world.camera.normalised(np.dstack([x + dx, y + dy]))
 
     def radiance(self, frame: int) -> np.ndarray:
         """(h, w, 3) float64 linear radiance of a frame, before exposure.

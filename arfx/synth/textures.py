@@ -166,27 +166,28 @@ def environment_picture(source: str | Path, folder: Path | None = None) -> np.nd
     return cv2.resize(rgb, (256, 128), interpolation=cv2.INTER_AREA)
 
 
+# lamps in the built-in rooms: direction, radius in degrees, radiance
+_STUDIO = (
+    (0.5, -0.6, 0.62, 14, 5.5, 5.6, 6.0),
+    (-0.7, 0.3, 0.65, 10, 2.6, 2.5, 2.3),
+    (-0.1, 0.9, 0.4, 8, 2.0, 1.4, 0.8),
+)
+_SUN = ((0.85, 0.35, 0.4, 4, 70.0, 52.0, 30.0),)
+
+
 def _made(name: str) -> np.ndarray:
-    h, w = 128, 256
-    towards, _ = _directions(h, w)
-    z = towards[..., 2]
-    boxes: tuple[tuple[tuple[float, float, float], int, tuple[float, float, float]], ...]
+    towards, _ = _directions(128, 256)
+    z = towards[..., 2:]
+    low, high = (1 - np.abs(z)) ** 3, np.abs(z)
     if name == "studio":  # grey room, two soft boxes and a warm strip
-        base = np.repeat((0.25 + 0.1 * z)[..., None], 3, axis=2)
-        boxes = (
-            ((0.5, -0.6, 0.62), 14, (5.5, 5.6, 6.0)),
-            ((-0.7, 0.3, 0.65), 10, (2.6, 2.5, 2.3)),
-            ((-0.1, 0.9, 0.4), 8, (2.0, 1.4, 0.8)),
-        )
+        picture = np.repeat(0.25 + 0.1 * z, 3, axis=2)
     else:
-        low = (1 - np.abs(z)) ** 3
-        sky = np.stack([0.25 + 0.5 * low, 0.3 + 0.25 * low, 0.5 - 0.1 * np.abs(z)], -1)
-        base = np.where((z > 0)[..., None], sky, [0.12, 0.11, 0.1])
-        boxes = (((0.85, 0.35, 0.4), 4, (70.0, 52.0, 30.0)),)
-    for centre, radius_deg, rgb in boxes:
-        unit = np.asarray(centre) / np.linalg.norm(centre)
-        base[towards @ unit > np.cos(np.radians(radius_deg))] = rgb
-    return base
+        sky = np.dstack([0.25 + 0.5 * low, 0.3 + 0.25 * low, 0.5 - 0.1 * high])
+        picture = np.where(z > 0, sky, [0.12, 0.11, 0.1])
+    for *centre, radius_deg, r, g, b in _STUDIO if name == "studio" else _SUN:
+        inside = towards @ normalise(np.array(centre)) > np.cos(np.radians(radius_deg))
+        picture[inside] = r, g, b
+    return picture
 
 
 def _directions(h: int, w: int) -> tuple[np.ndarray, np.ndarray]:

@@ -43,8 +43,7 @@ class World:
     """Everything of a scene that does not depend on time, made once.
     camera : the true one;  frame_times_s : (frames,) from 0 at the first frame;  shots :
     (frames,) shot of each frame
-    textures, table : tracer's summed-area tables;  ambient, sky : tracer's ambient light
-    beside `lights_at`
+    room : each thing in its own axes, and the lights of a panorama
     """
 
     def __init__(self, scene: SceneFile, folder: Path | None = None) -> None:
@@ -66,20 +65,21 @@ class World:
                 about = (*sides, len(pictures), number, gloss)
                 rects.append([*(half * n + half * _Z), *u, *v, *n, *about])
             pictures.append((picture, smallest))
-        self._rects = np.array(rects, float).reshape(-1, 17)
-        self._spheres = np.array(spheres, float).reshape(-1, 8)
-        self.textures, self.table = _summed_areas(pictures)
-        self.ambient = np.asarray(scene.light.ambient_rgb, float)
-        self.sky = np.zeros((0, 0, 3))
+        ambient = np.array(scene.light.ambient_rgb, float)
+        sky, lights = np.zeros((0, 0, 3)), np.zeros((0, 7))
         if scene.light.environment:
-            self.sky = (
-                environment_picture(scene.light.environment, folder)
-                * scene.light.environment_scale
-            )
-            self._sky_lights = environment_lights(
-                self.sky, scene.light.environment_lights
-            )
-            self.ambient = np.zeros(3)
+            sky = environment_picture(scene.light.environment, folder)
+            sky = sky * scene.light.environment_scale
+            lights = environment_lights(sky, scene.light.environment_lights)
+            ambient = np.zeros(3)
+        self.room = Room(
+            np.array(rects, float).reshape(-1, 17),
+            np.array(spheres, float).reshape(-1, 8),
+            lights,
+            ambient,
+            *_summed_areas(pictures),
+            sky,
+        )
 
     @property
     def duration_s(self) -> float:
@@ -88,7 +88,7 @@ class World:
     def lights_at(self, time_s: float) -> np.ndarray:
         """(n, 7) tracer lights at a time."""
         if self.scene.light.environment:
-            return self._sky_lights
+            return self.room.lights
         rows = []
         for li in self.scene.light.lamps:
             phase = np.sin(2 * np.pi * time_s / li.period_s)
@@ -147,14 +147,10 @@ class World:
             own[:, 0] += shifts[owner]
             return rows
 
-        return Room(
-            moved(self._rects, 4, 15),
-            moved(self._spheres, 1, 7),
-            self.lights_at(time_s),
-            self.ambient,
-            self.textures,
-            self.table,
-            self.sky,
+        return self.room._replace(
+            rects=moved(self.room.rects, 4, 15),
+            spheres=moved(self.room.spheres, 1, 7),
+            lights=self.lights_at(time_s),
         )
 
     def camera_at(self, frame: int, time_s: float) -> Pose:
