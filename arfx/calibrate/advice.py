@@ -14,6 +14,7 @@ import numpy as np
 
 from arfx.calibrate.solve import Fit, Uncertainty, grid_pixels, without_pose
 from arfx.core.numerics import arccos
+from arfx.core.pose import rotation_from_rotvec
 
 CELLS = (8, 6)  # across, down: at 4:3 they are square
 # a board tilted by less separates focal length from distance too weakly: its depth range is
@@ -203,7 +204,7 @@ def coverage(fitted: Fit) -> Coverage:
         bins=(CELLS[1], CELLS[0]),
         range=((-0.5, h - 0.5), (-0.5, w - 0.5)),
     )
-    normals = np.array([cv2.Rodrigues(r)[0][:, 2] for r in fitted.rotations])
+    normals = rotation_from_rotvec(fitted.rotations)[:, :, 2]
     normals = np.where(
         normals[:, 2:] <= 0, normals, -normals
     )  # in camera coordinates, towards the camera's side

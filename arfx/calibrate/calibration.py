@@ -18,7 +18,7 @@ from arfx.calibrate.advice import (
     next_picture,
     projection_uncertainty_px,
 )
-from arfx.calibrate.board import CHARUCO, CHESSBOARD, BoardSpec
+from arfx.calibrate.board import CHARUCO, BoardSpec
 from arfx.calibrate.corners import View, find_view, seen_instead
 from arfx.calibrate.screen import (
     Rejected,
@@ -66,7 +66,6 @@ class Calibration(NamedTuple):
     """fitted, known, seen : solution, its uncertainty, coverage; evidence : every lens model's
     showing"""
 
-    spec: BoardSpec
     fitted: Fit
     known: Uncertainty
     seen: Coverage
@@ -173,14 +172,14 @@ def _usual_kind(kinds: Mapping[str, Sequence[str]], notices: list[str]) -> Seque
     return usual
 
 
-def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
+def calibrate(found: Found) -> Calibration:
     """Intrinsics from the views found.
 
     Raises NothingToDoError if fewer than three different views agree.
     """
     notices = list(found.notices)
     unique, copies = drop_copies(found.views)
-    unique = most_varied(unique, keep)
+    unique = most_varied(unique, KEEP_VIEWS)
     if len(unique) < 3:
         raise NothingToDoError(
             f"board {found.spec} is seen in {len(found.views)} of {found.searched}"
@@ -221,12 +220,6 @@ def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
             f"{len(turned)} views show the board upside down (corners renumbered):"
             f" {_first_names(turned)}"
         )
-    if found.spec.turn_is_ambiguous and found.spec.kind == CHESSBOARD:
-        notices.append(
-            f"a {found.spec.columns}x{found.spec.rows} chessboard looks the same after half"
-            " a turn: which views are upside down cannot be known (the intrinsics do not"
-            " suffer; one odd and one even count avoids it)"
-        )
     if found.empty:
         notices.append(
             f"no board in {len(found.empty)} of {found.searched} pictures:"
@@ -236,7 +229,6 @@ def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
         notices.append(f"{corners_dropped} corners miss by far and are left out")
     verdict = Verdict(word, reasons, next_picture(seen))
     return Calibration(
-        found.spec,
         fitted,
         known,
         seen,

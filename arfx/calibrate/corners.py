@@ -77,11 +77,8 @@ def find_view(gray: np.ndarray, spec: BoardSpec, name: str) -> View | None:
         return None
     ids, pixels, finder = found
     board = spec.corners_m[ids]
-    # least squares slope of pixel y on board y: does the board's y, down its rows, run
-    # upwards in the picture?
-    rise = (
-        (board[:, 1] - board[:, 1].mean()) * (pixels[:, 1] - pixels[:, 1].mean())
-    ).sum()
+    # does the board's y, down its rows, run upwards in the picture?
+    rise = np.cov(board[:, 1], pixels[:, 1])[0, 1]
     return View(
         name,
         gray.shape[::-1],
@@ -150,8 +147,8 @@ def corner_sharpness(gray: np.ndarray, pixels: np.ndarray) -> float:
     """Steepest grey step per pixel around the corners over the contrast there: 1 / edge
     width in px, ~0.5 sharp, 0 blurred.
     """
-    some = np.round(pixels[:: max(1, len(pixels) // 24)]).tolist()
-    patches = np.array([cv2.getRectSubPix(gray, (11, 11), at) for at in some], float)
+    places = np.round(pixels).tolist()
+    patches = np.array([cv2.getRectSubPix(gray, (11, 11), at) for at in places], float)
     slopes = np.percentile(np.hypot(*np.gradient(patches, axis=(1, 2))), 95, (1, 2))
     low, high = np.percentile(patches, (5, 95), (1, 2))
     return float(np.median(divide(slopes, high - low)))

@@ -22,7 +22,7 @@ def document(result: Calibration) -> dict[str, Any]:
         "reasons": list(result.verdict.reasons),
         "next_picture": result.verdict.next_picture,
         "notices": list(result.notices),
-        "board": str(result.spec),
+        "board": str(found.spec),
         "image_width": camera.width,
         "image_height": camera.height,
         "camera_matrix": camera.matrix.tolist(),

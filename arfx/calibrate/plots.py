@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from arfx.calibrate.advice import GRID, TILTED_DEG
@@ -24,7 +23,7 @@ def write_plots(result: Calibration, paths: Sequence[Path]) -> None:
     """Write the two pictures, as PNG, into existing folders."""
     for path, figure in zip(paths, (_residuals(result), _coverage(result)), strict=True):
         with atomic_write(path) as part:
-            FigureCanvasAgg(figure).print_figure(part, format="png", dpi=DPI)
+            figure.savefig(part, format="png", dpi=DPI)
 
 
 def _residuals(result: Calibration) -> Figure:

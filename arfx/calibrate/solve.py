@@ -38,31 +38,16 @@ STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-9)
 
 
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-# What keeps OpenCV from estimating the coefficients from the first, second, … on.
-FIXED = {
-    0: cv2.CALIB_FIX_K1,
-    1: cv2.CALIB_FIX_K2,
-    2: cv2.CALIB_ZERO_TANGENT_DIST,
-    4: cv2.CALIB_FIX_K3,
-}
 
 
 class LensModel(NamedTuple):
-    """A nested lens model. free : how many of OpenCV's coefficients are estimated, from the
-    first on; the others are zero.
+    """free : how many of OpenCV's coefficients are estimated, from the first on; the others
+    are zero;  flags : of OpenCV's, which say so
     """
 
+    name: str
     free: int
-
-    @property
-    def name(self) -> str:
-        names = {0: "pinhole", len(COEFFICIENTS): "rational"}
-        return names.get(self.free, " ".join(COEFFICIENTS[: self.free]))
-
-    @property
-    def flags(self) -> int:
-        rational = cv2.CALIB_RATIONAL_MODEL * (self.free > 5)
-        return rational + sum(flag for i, flag in FIXED.items() if i >= self.free)
+    flags: int
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -73,7 +58,15 @@ class LensModel(NamedTuple):
         return jacobian[:, 6 : 10 + self.free]
 
 
-MODELS = tuple(map(LensModel, (0, 1, 2, 4, 5, 8)))  # each holds the one before it
+_RADIAL = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
+MODELS = (  # each holds the one before it
+    LensModel("pinhole", 0, cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | _RADIAL),
+    LensModel("k1", 1, cv2.CALIB_FIX_K2 | _RADIAL),
+    LensModel("k1 k2", 2, _RADIAL),
+    LensModel("k1 k2 p1 p2", 4, cv2.CALIB_FIX_K3),
+    LensModel("k1 k2 p1 p2 k3", 5, 0),
+    LensModel("rational", 8, cv2.CALIB_RATIONAL_MODEL),
+)
 FIRST_MODEL = MODELS[2]  # for telling good views from bad ones, before a model is chosen
 
 
@@ -311,7 +304,8 @@ def one_to_one(camera: Camera) -> bool:
 
 def grid_pixels(camera: Camera, across: int, down: int) -> np.ndarray:
     """(n, 2) pixels spread evenly over the picture, borders included."""
-    x, y = np.meshgrid(
-        np.linspace(0, camera.width - 1, across), np.linspace(0, camera.height - 1, down)
+    x, y = (
+        np.linspace(0, camera.width - 1, across),
+        np.linspace(0, camera.height - 1, down),
     )
-    return np.stack([x.ravel(), y.ravel()], -1)
+    return np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)

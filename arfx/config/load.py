@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import os
+import tomllib
 from collections.abc import Mapping, Sequence
 from functools import cache, lru_cache, reduce
 from pathlib import Path
@@ -14,13 +15,14 @@ from typing import Any, NamedTuple
 
 from pydantic import Field, ValidationError, create_model
 
-from arfx.config.gone import GONE
 from arfx.config.sections import JobConfig, kinds, section_models
 from arfx.core.marker import PatternSpec
 from arfx.core.opener import parse_toml, read_text
 from arfx.core.toml_text import KeyPath, line_of
 from arfx.errors import ConfigError, InputError
 
+# section -> setting that is gone -> what to write instead
+GONE = tomllib.loads(Path(__file__).with_name("gone.toml").read_text("utf-8"))
 Parameters = Mapping[str, Mapping[str, Any]]
 _PRESETS = (
     Path(__file__).parent / "presets",
@@ -86,12 +88,13 @@ def load(
             known = suggestion(name, model.model_fields)
             return problem(path, f"there is no section or stage {name!r}", known)
         by_formula = sections[name]
+        gone = GONE.get(name, {}).get(key) if len(path) == 2 else None
         owner = next((f for f, kind in by_formula.items() if key in _fields(kind)), None)
-        if owner is not None and path not in GONE:
+        if owner is not None and gone is None:
             message = f'{name}.{key} belongs to formula = "{owner}"'
             return problem(path, message, f'{name}.formula is "{chosen[name]}"')
         kind = by_formula[chosen.get(name, "")]
-        hint = GONE.get(path) or suggestion(str(key), _fields(kind))
+        hint = gone or suggestion(str(key), _fields(kind))
         return problem(path, f"[{name}] has no setting {key!r}", hint)
 
     sections, chosen = all_sections(parameters), dict[str, str]()

@@ -15,7 +15,6 @@ import cv2
 import numpy as np
 
 from arfx.core.colour import yuv_from_rgb
-from arfx.errors import RenderError
 from arfx.media.codecs import create_container
 from arfx.synth.description import SceneFile
 from arfx.synth.truth import DEPTH_UNIT_M
@@ -37,15 +36,8 @@ class _Video:
         pix_fmt: str,
     ) -> None:
         self._scene = scene
-        try:
-            self._out = create_container(
-                path,
-                options={"movie_timescale": str(CLOCK_HZ)}
-                if path.suffix == ".mp4"
-                else {},
-            )
-        except OSError as e:
-            raise RenderError(f"cannot write {path}: {e.strerror or e}") from None
+        exact = {"movie_timescale": str(CLOCK_HZ)} if path.suffix == ".mp4" else {}
+        self._out = create_container(path, options=exact)
         stream = self._out.add_stream(
             codec, rate=Fraction(scene.clip.fps).limit_denominator(1001)
         )
@@ -91,18 +83,15 @@ class ClipFile(_Video):
             context.thread_count = 1  # another number of threads gives another stream
         if clip.rotation_deg:
             self._stream.set_display_rotation(clip.rotation_deg)
-        self._tone: Any = (
-            self._out.add_stream("aac" if not lossless else "flac", rate=48_000)
-            if clip.tone_hz
-            else None
-        )
+        self._tone: Any = None
+        if clip.tone_hz:
+            sound = "flac" if lossless else "aac"
+            self._tone = self._out.add_stream(sound, rate=48_000)
 
     def write(self, coded: np.ndarray, time_s: float) -> None:
         """coded (h, w, 3) float R'G'B' 0..1, upright;  time_s from the clip's first frame."""
-        if self._scene.clip.rotation_deg:
-            coded = np.ascontiguousarray(
-                np.rot90(coded, -self._scene.clip.rotation_deg // 90)
-            )
+        turned = np.rot90(coded, -self._scene.clip.rotation_deg // 90)
+        coded = np.ascontiguousarray(turned)
         self._put(self._frame(coded), self._scene.clip.start_s + time_s)
 
     def _frame(self, coded: np.ndarray) -> av.VideoFrame:
@@ -110,14 +99,9 @@ class ClipFile(_Video):
         luma, chroma = 16 + 219 * yuv[..., 0], 128 + 224 * yuv[..., 1:]
         kind, shape = self._stream.pix_fmt, (3, *luma.shape)
         if kind == "yuv420p":
-            across = np.array([0.25, 0.5, 0.25], np.float32)
-            wide = cv2.sepFilter2D(
-                chroma,
-                -1,
-                across,
-                np.ones(1, np.float32),
-                borderType=cv2.BORDER_REPLICATE,
-            )[:, ::2]
+            across = np.array([[0.25, 0.5, 0.25]])
+            wide = cv2.filter2D(chroma, -1, across, borderType=cv2.BORDER_REPLICATE)
+            wide = wide[:, ::2]
             chroma = (wide[::2] + wide[1::2]) / 2
             shape = luma.shape[0] * 3 // 2, luma.shape[1]
         planes = np.concatenate([p.ravel() for p in (luma, *np.moveaxis(chroma, -1, 0))])

@@ -20,7 +20,6 @@ from arfx.synth.world import World
 
 # a rolling shutter moves the scene once per band: under 2 px of motion in hand-held footage
 _BAND_ROWS = 24
-_RAYS = 8192  # in one array: some megabytes of numbers
 _KEEP_BYTES = 400_000_000  # rays kept from frame to frame
 
 
@@ -59,9 +58,8 @@ class Picture:
             light, number = self._sample(frame, 0.0, (0.0, 0.0), chosen, 1.0, seed)
             out, met = light.reshape(out.shape), number.reshape(shape)
             box = np.ones((3, 3), np.uint8)
-            chosen = ((met == 0) | (cv2.erode(met, box) != cv2.dilate(met, box))) & (
-                n > 1
-            )
+            differs = cv2.morphologyEx(met, cv2.MORPH_GRADIENT, box) > 0
+            chosen = ((met == 0) | differs) & (n > 1)
             out[chosen] = 0
         # which moment of the shutter a position gets
         order = np.random.default_rng([scene.seed, 11]).permutation(n * n)
@@ -72,12 +70,8 @@ class Picture:
                 self._sample(frame, late, place, chosen, 1 / n, seed + k)[0] / n**2
             )
         if (sigma := scene.lens.softness_px) > 0:
-            side = 2 * int(np.ceil(4 * sigma)) + 1
-            return np.asarray(
-                cv2.GaussianBlur(
-                    out, (side, side), sigma, borderType=cv2.BORDER_REPLICATE
-                )
-            )
+            size = (2 * int(np.ceil(4 * sigma)) + 1,) * 2
+            cv2.GaussianBlur(out, size, sigma, out, borderType=cv2.BORDER_REPLICATE)
         return out
 
     def _sample(
@@ -93,9 +87,7 @@ class Picture:
         own time, for a footprint of that width in pixels; as `tracer.radiance` gives them."""
         pixels, rays = np.argwhere(chosen), self.rays(*place)
         rows, roll = len(chosen), self.world.scene.hidden.rolling_shutter_s
-        cuts = np.arange(_RAYS, len(pixels), _RAYS)
-        if roll:
-            cuts = np.searchsorted(pixels[:, 0], range(_BAND_ROWS, rows, _BAND_ROWS))
+        cuts = np.searchsorted(pixels[:, 0], range(_BAND_ROWS, rows, _BAND_ROWS))
         seen, spans = cache(partial(self._seen, frame)), footprint * _spans(rays)
 
         def one(part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

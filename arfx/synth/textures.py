@@ -205,24 +205,28 @@ def environment_lights(picture: np.ndarray, count: int) -> np.ndarray:
     h, w = picture.shape[:2]
     towards, solid = _directions(h, w)
     power = picture.mean(-1) * solid
-    towards, solid, power = towards.reshape(-1, 3), solid.ravel(), power.ravel()
-    regions = [np.arange(h * w).reshape(h, w)]  # of pixels
+    # of each pixel: direction by power, light, power, row
+    pixels = np.dstack(
+        [
+            towards * power[..., None],
+            picture * solid[..., None] / np.pi,
+            power,
+            np.indices((h, w))[0],
+        ]
+    )
+    regions = [pixels]
     while len(regions) < count:
-        sizes = [power[r].sum() if r.size > 1 else -1.0 for r in regions]
+        sizes = [r[..., 6].sum() if r[..., 6].size > 1 else -1.0 for r in regions]
         pick = int(np.argmax(sizes))
         if sizes[pick] <= 0:
             break
         region = regions.pop(pick)
-        rows, columns = region.shape
-        middle = np.cos(np.pi * (0.5 - (region[0, 0] // w + rows / 2) / h))
+        rows, columns, _ = region.shape
+        middle = np.cos(np.pi * (0.5 - (region[0, 0, 7] + rows / 2) / h))
         axis = 0 if columns == 1 or rows > columns * 2 * h / w * middle else 1
-        sums = power[region].sum(1 - axis).cumsum()
+        sums = region[..., 6].sum(1 - axis).cumsum()
         cut = np.clip(np.searchsorted(sums, sums[-1] / 2) + 1, 1, len(sums) - 1)
         regions += np.split(region, [int(cut)], axis)
-    lights = []
-    for r in regions:
-        mean = (towards[r] * power[r][..., None]).sum((0, 1))
-        rgb = (picture.reshape(-1, 3)[r] * solid[r][..., None]).sum((0, 1)) / np.pi
-        if mean.any():
-            lights.append([*normalise(mean), *rgb, 0.0])
+    totals = [r.sum((0, 1)) for r in regions]
+    lights = [[*normalise(t[:3]), *t[3:6], 0.0] for t in totals if t[:3].any()]
     return np.array(lights, float).reshape(-1, 7)

@@ -91,15 +91,13 @@ class World:
             return self.room.lights
         rows = []
         for li in self.scene.light.lamps:
-            phase = np.sin(2 * np.pi * time_s / li.period_s)
-            swing = np.multiply(li.swing_deg, phase)
-            angles = np.radians(np.add((li.azimuth_deg, li.elevation_deg), swing))
+            swing = np.sin(2 * np.pi * time_s / li.period_s) * np.array(li.swing_deg)
+            angles = np.radians(np.add(swing, (li.azimuth_deg, li.elevation_deg)))
             # of two keys at one time the later holds from then on
-            factor = (
-                np.interp(time_s, *np.array(li.brightness).T) if li.brightness else 1.0
-            )
+            keys = np.array(li.brightness or [(0.0, 1.0)])
+            rgb = np.interp(time_s, *keys.T) * np.array(li.rgb)
             disc = np.tan(np.radians(li.angular_size_deg) / 2)
-            rows.append([*direction_of(*angles), *np.multiply(li.rgb, factor), disc])
+            rows.append([*direction_of(*angles), *rgb, disc])
         return np.array(rows).reshape(-1, 7)
 
     def _surface(
@@ -158,14 +156,10 @@ class World:
         frame's shot.
         """
         shot = int(self.shots[frame])
-        began, ended = self.frame_times_s[np.flatnonzero(self.shots == shot)[[0, -1]]]
-        return camera_from_room(
-            self.scene.shot[shot].path,
-            time_s - began,
-            ended - began,
-            self.scene.seed,
-            f"shot {shot}",
-        )
+        times = self.frame_times_s[self.shots == shot]
+        path, since = self.scene.shot[shot].path, time_s - times[0]
+        seed, lasts = self.scene.seed, times[-1] - times[0]
+        return camera_from_room(path, since, lasts, seed, f"shot {shot}")
 
 
 def true_camera(scene: SceneFile) -> Camera:
@@ -248,13 +242,13 @@ def camera_from_room(
         np.asarray(path.target_m, float),
         np.asarray(path.position_m, float),
     )
+    share = _share(time_s, duration_s)
     if path.kind == "orbit":
-        azimuth, elevation = np.radians(
-            _along(np.array([path.azimuth_deg, path.elevation_deg]).T, time_s, duration_s)
-        )
-        position = target + path.radius_m * direction_of(azimuth, elevation)
+        ends = np.radians([path.azimuth_deg, path.elevation_deg])
+        towards = direction_of(*(ends @ (1 - share, share)))
+        position = target + path.radius_m * towards
     elif path.kind == "dolly":
-        ease = smoothstep(_along(np.array([0.0, 1.0]), time_s, duration_s))
+        ease = smoothstep(share)
         position = (1 - ease) * position + ease * np.asarray(path.end_m)
     elif path.kind == "keys":
         position = _between(path.keys, "position_m", time_s)
@@ -265,10 +259,9 @@ def camera_from_room(
     return _trembling(both, path.hand_deg, path.hand_m) @ look_at(position, target)
 
 
-def _along(ends: np.ndarray, time_s: float, duration_s: float) -> np.ndarray:
-    """From the first value (2, ...) to the last over the duration, held beyond."""
-    share = np.clip(divide(time_s, duration_s), 0.0, 1.0)
-    return np.asarray(ends[0] + (ends[1] - ends[0]) * share)
+def _share(time_s: float, duration_s: float) -> float:
+    """0 at the beginning and before, 1 at the end and after."""
+    return float(np.clip(divide(time_s, duration_s), 0.0, 1.0))
 
 
 def _trembling(noise: np.ndarray, turn_deg: float, travel_m: float) -> Pose:
@@ -290,7 +283,8 @@ def room_from_object(
         rotation = rotation_from_euler_deg(*_between(motion.keys, "rotate_deg", time_s))
         pose = Pose(rotation, _between(motion.keys, "position_m", time_s))
     elif motion.kind == "turn":
-        angle = np.radians(_along(np.array(motion.angle_deg), time_s, duration_s))
+        share = _share(time_s, duration_s)
+        angle = np.radians(motion.angle_deg) @ (1 - share, share)
         axis = normalise(np.asarray(motion.axis, float))
         pose = pose @ Pose.from_rotvec(axis * angle, np.zeros(3))
     else:
