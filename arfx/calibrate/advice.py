@@ -7,6 +7,8 @@ Source of the projection uncertainty: mrcal's documentation, "Projection uncerta
 
 from __future__ import annotations
 
+import tomllib
+from pathlib import Path
 from typing import NamedTuple
 
 import cv2
@@ -32,81 +34,8 @@ SIDES = (
 )  # of the board, as `Coverage.azimuth_deg` turns
 
 
-class Limit(NamedTuple):
-    """A figure of the calibration and what it must reach: at least, where good is more than
-    poor, else at most.
-
-    text : the reason when it does not, with {value} and {limit}"""
-
-    name: str
-    good: float
-    poor: float
-    text: str
-
-
-# `poor`: a virtual object drawn with it is visibly wrong (1 % of focal length is 1 % of
-# every distance); `good`: the camera's error stays below what marker corners add in each
-# frame (.3 % and about a pixel).
-LIMITS = (
-    Limit(
-        "views",
-        10,
-        5,
-        "only {value:.0f} different views take part (good: {limit:.0f})",
-    ),
-    Limit(
-        "focal_sd_percent",
-        0.3,
-        1.0,
-        "the focal length is known to ±{value:.2g} % only (good: {limit:g} %)",
-    ),
-    Limit(
-        "tilt_max_deg",
-        25,
-        15,
-        "the board is seen nearly frontally: steepest tilt {value:.0f}° (good:"
-        " {limit:.0f}°)",
-    ),
-    Limit(
-        "tilt_directions",
-        3,
-        1,
-        "the board tilts over 15° to {value:.0f} of 4 sides (good: {limit:.0f})",
-    ),
-    Limit(
-        "cells_percent",
-        60,
-        30,
-        "corners cover {value:.0f} % of the picture (good: {limit:.0f} %)",
-    ),
-    Limit(
-        "radius_percent",
-        70,
-        45,
-        "they reach {value:.0f} % of the way to the picture's corners (good:"
-        " {limit:.0f} %)",
-    ),
-    Limit(
-        "held_out_permille",
-        0.8,
-        3.0,
-        "views miss their prediction by {value:.2g} ‰ of the width (good: {limit:g} ‰)",
-    ),
-    Limit(
-        "projection_sd_permille",
-        2.0,
-        10.0,
-        "towards the border the projection is uncertain by {value:.2g} ‰ of the width"
-        " (good: {limit:g} ‰)",
-    ),
-    Limit(
-        "rejected_percent",
-        25,
-        50,
-        "{value:.0f} % of the views disagree with the others (good: {limit:.0f} %): two"
-        " boards or cameras, or a bent board?",
-    ),
-)
+# figure of the calibration -> what it must reach (good, poor) and the reason when it does not
+LIMITS = tomllib.loads(Path(__file__).with_name("limits.toml").read_text("utf-8"))
 
 
 class Verdict(NamedTuple):
@@ -124,10 +53,11 @@ def judge(figures: dict[str, float]) -> tuple[str, tuple[str, ...]]:
     A figure that is not a number counts as poor.
     """
     graded = []
-    for name, good, poor, text in LIMITS:
-        value, sign = figures[name], 1 if good > poor else -1
+    for name, limit in LIMITS.items():
+        value, good, poor = figures[name], limit["good"], limit["poor"]
+        sign = 1 if good > poor else -1
         grade = int(sign * value >= sign * poor) + int(sign * value >= sign * good)
-        graded.append((grade, text.format(value=value, limit=good)))
+        graded.append((grade, limit["text"].format(value=value, limit=good)))
     graded.sort(key=lambda figure: figure[0])
     word = (POOR, USABLE, GOOD)[graded[0][0]]
     return word, tuple(text for grade, text in graded if grade < 2)

@@ -181,15 +181,13 @@ def seen_instead(gray: np.ndarray, spec: BoardSpec) -> str:
     is recognised; "" for nothing.
 
     Cost: about 1 s at 1920x1080; meant for a few pictures."""
-    families = {}
+    ids, family = set[int](), ""
     for f in SEARCHED:
         found = cv2.aruco.ArucoDetector(dictionary(f)).detectMarkers(gray)[1]
-        ids = set() if found is None else {int(i) for i in np.ravel(found)}
-        if len(ids) >= (1 if f in TELLING else LEAST_MARKERS):
-            families[f] = ids
-    if families:
-        family = max(families, key=lambda f: len(families[f]))
-        ids = families[family]
+        own = set() if found is None else {int(i) for i in np.ravel(found)}
+        if len(own) >= (1 if f in TELLING else LEAST_MARKERS) and len(own) > len(ids):
+            ids, family = own, f
+    if ids:
         if spec.kind == CHARUCO:
             better = _working_spec(gray, spec, family, max(ids))
             if better is not None:

@@ -50,18 +50,17 @@ class Rejected(NamedTuple):
 
 def drop_copies(views: Sequence[View]) -> tuple[list[View], list[Rejected]]:
     """Keep of each group of equal views the sharpest."""
-    kept: dict[int, View] = {}
-    dropped: list[Rejected] = []
-    for i, view in sorted(enumerate(views), key=lambda numbered: -numbered[1].sharpness):
-        moved, twin = min(
-            ((_moved_px(view, k), k.name) for k in kept.values()), default=(np.inf, "")
-        )
-        if moved < SAME_VIEW_FRACTION * view.size[0]:
-            reason = f"the same view as {twin}: its corners moved {moved:.2f} px"
+    kept, dropped = list[View](), list[Rejected]()
+    for view in sorted(views, key=lambda v: -v.sharpness):
+        moved = [_moved_px(view, k) for k in kept]
+        nearest = min(moved, default=np.inf)
+        if nearest < SAME_VIEW_FRACTION * view.size[0]:
+            twin = kept[moved.index(nearest)].name
+            reason = f"the same view as {twin}: its corners moved {nearest:.2f} px"
             dropped.append(Rejected(view.name, reason))
         else:
-            kept[i] = view
-    return [kept[i] for i in sorted(kept)], dropped
+            kept.append(view)
+    return [v for v in views if v in kept], dropped
 
 
 def _moved_px(a: View, b: View) -> float:

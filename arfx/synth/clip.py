@@ -26,7 +26,7 @@ from arfx.errors import ConfigError, RenderError
 from arfx.media.cameras import save_camera
 from arfx.media.images import write_png
 from arfx.synth.description import Marker, SceneFile
-from arfx.synth.encode import ClipFile, DepthFile
+from arfx.synth.encode import ClipFile, VideoFile, measured_steps
 from arfx.synth.picture import Picture, expose, gain_at
 from arfx.synth.rays import LIFT_M
 from arfx.synth.shapes import write_model
@@ -137,9 +137,9 @@ def _fill(
         clip = files.enter_context(closing(ClipFile(folder / scene.clip.file, scene)))
         maps = None
         if scene.depth.file:
-            maps = files.enter_context(
-                closing(DepthFile(folder / scene.depth.file, scene))
-            )
+            path, size = folder / scene.depth.file, (scene.clip.width, scene.clip.height)
+            file = VideoFile(path, scene, "ffv1", size, "gray16le")
+            maps = files.enter_context(closing(file))
         for n, time_s in enumerate(world.frame_times_s.tolist()):
             clip.write(expose(scene, picture.radiance(n), n, time_s), time_s)
             frames.append(frame_truth(world, n))
@@ -148,7 +148,7 @@ def _fill(
                 continue
             depth, owner = picture.surfaces(n)
             if maps is not None:
-                maps.write(depth, n, time_s)
+                maps.put(measured_steps(scene, depth, n), time_s)
             for kind in kinds:
                 path = folder / "truth" / kind / f"{n:06d}.png"
                 if kind == "flow":

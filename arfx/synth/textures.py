@@ -14,12 +14,11 @@ import cv2
 import numpy as np
 
 from arfx.core.colour import SRGB
-from arfx.core.marker import MarkerSpec
 from arfx.core.marker_codes import marker_cells
 from arfx.core.numerics import direction_of, normalise
 from arfx.errors import InputError
 from arfx.media.images import decode_picture
-from arfx.synth.description import Texture
+from arfx.synth.description import Marker, Texture
 
 
 def texture_albedo(
@@ -131,25 +130,22 @@ def _posters(rng: np.random.Generator, h: int, w: int, cell: float) -> np.ndarra
 
 
 def sheet_albedo(
-    spec: MarkerSpec,
-    margin_cells: float,
-    ink: float,
-    paper: float,
-    inverted: bool = False,
-    right_ink: float | None = None,
+    marker: Marker, right_ink: float | None = None
 ) -> tuple[np.ndarray, float]:
     """Albedo picture of the whole sheet and the sheet's side in metres.
     The margin is made exact by cutting every cell into a whole number of texels. right_ink
-    : ink albedo at the right edge, growing linearly from `ink` at the left (worn print);
-    None = even. Returns (rows, columns, 1) float64."""
-    cells = marker_cells(spec.family, spec.id) ^ inverted
-    per_cell = 4  # a margin of quarters of a cell is exact; finer ones are rounded to it
-    big = np.kron(cells, np.ones((per_cell, per_cell), bool))
-    whole = np.pad(big, round(margin_cells * per_cell), constant_values=not inverted)
-    ramp = np.linspace(ink, ink if right_ink is None else right_ink, whole.shape[1])
-    return np.where(whole, paper, ramp[None, :])[..., None], spec.size_m * whole.shape[
-        0
-    ] / (len(cells) * per_cell)
+    : ink albedo at the right edge, growing linearly from the marker's at the left (worn
+    print); None = even. Returns (rows, columns, 1) float64."""
+    cells = marker_cells(marker.spec.family, marker.spec.id) ^ marker.inverted
+    texels = 4  # a margin of quarters of a cell is exact; finer ones are rounded to it
+    margin = round(marker.margin_cells * texels)
+    big = np.kron(cells, np.ones((texels, texels), bool))
+    white = np.pad(big, margin, constant_values=not marker.inverted)
+    ink = np.linspace(
+        marker.ink, marker.ink if right_ink is None else right_ink, len(white)
+    )
+    side_m = marker.spec.size_m * len(white) / len(big)
+    return np.where(white, marker.paper, ink)[..., None], side_m
 
 
 def environment_picture(source: str | Path, folder: Path | None = None) -> np.ndarray:

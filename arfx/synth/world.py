@@ -106,9 +106,7 @@ class World:
         """Size (3,) metres, albedo, smallest box in texels, gloss."""
         if isinstance(p, Marker):
             hidden = self.scene.hidden
-            picture, side = sheet_albedo(
-                p.spec, p.margin_cells, p.ink, p.paper, p.inverted, hidden.worn_ink
-            )
+            picture, side = sheet_albedo(p, hidden.worn_ink)
             return (side, side, 0.0), picture, 0.0, hidden.gloss
         assert isinstance(p, (Plane, Box))
         x, y, z = size = (*p.size_m, 0.0)[:3]

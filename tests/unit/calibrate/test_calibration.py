@@ -170,18 +170,17 @@ def test_tilt_is_told_by_the_near_edge(
 
 def test_judging() -> None:
     fine = {
-        limit.name: limit.good * 2 if limit.good > limit.poor else limit.good / 2
-        for limit in LIMITS
+        name: limit["good"] * 2 if limit["good"] > limit["poor"] else limit["good"] / 2
+        for name, limit in LIMITS.items()
     }
     assert judge(fine) == (GOOD, ())
-    for limit in LIMITS:
-        between = fine | {limit.name: (limit.good + limit.poor) / 2}
-        beyond = fine | {
-            limit.name: limit.poor / 2 if limit.good > limit.poor else limit.poor * 2
-        }
-        assert judge(between)[0] == USABLE, limit.name
-        assert judge(beyond)[0] == POOR, limit.name
-        assert judge(fine | {limit.name: float("nan")})[0] == POOR
+    for name, limit in LIMITS.items():
+        good, poor = limit["good"], limit["poor"]
+        between = fine | {name: (good + poor) / 2}
+        beyond = fine | {name: poor / 2 if good > poor else poor * 2}
+        assert judge(between)[0] == USABLE, name
+        assert judge(beyond)[0] == POOR, name
+        assert judge(fine | {name: float("nan")})[0] == POOR
         assert len(judge(beyond)[1]) == 1
 
 
