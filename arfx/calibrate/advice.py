@@ -76,10 +76,10 @@ def figures(
     width = fitted.camera.width
     projection_sd = float(np.quantile(projection_sd_px, 0.9))
     return {
-        "views": float(len(fitted.views)),
+        "views": len(fitted.views),
         "focal_sd_percent": 100 * focal_sd_px / fitted.camera.fx,
         "tilt_max_deg": float(seen.tilt_deg.max()),
-        "tilt_directions": float(seen.directions),
+        "tilt_directions": seen.directions,
         "cells_percent": 100 * seen.cells,
         "radius_percent": 100 * seen.radius,
         "held_out_permille": 1000 * held_out_px / width,

@@ -93,13 +93,13 @@ def find_board(
     Raises InputError where none can be read, or no size and orientation is that of most;
     NothingToDoError, saying what is seen instead, if no board is found."""
     views, empty, notices = list[View](), list[str](), list[str]()
-    unread: dict[str, list[InputError]] = defaultdict(list)  # by what would help
+    unread = list[InputError]()
     kinds: dict[str, list[str]] = defaultdict(list)
     samples: list[tuple[str, np.ndarray]] = []
     searched = 0
     for name, gray, turn in pictures:
         if isinstance(gray, InputError):
-            unread[gray.hint].append(gray)
+            unread.append(gray)
             continue
         upside_down = " upside down by EXIF" * (turn in UPSIDE_DOWN)
         kinds[f"{gray.shape[1]}x{gray.shape[0]}{upside_down}"].append(name)
@@ -121,10 +121,12 @@ def find_board(
             if len(samples) < LOOKED_AT:
                 samples.append((name, gray))
         progress(searched, len(views))
-    bad = ["; ".join(e.message for e in errors) for errors in unread.values()]
+    bad = "; ".join(e.message for e in unread)
+    hints = "; ".join(dict.fromkeys(e.hint for e in unread))
     if bad and not searched:
-        raise InputError("; ".join(bad), "; ".join(unread))
-    notices += [f"left out: {text} ({h})" for text, h in zip(bad, unread, strict=True)]
+        raise InputError(bad, hints)
+    if bad:
+        notices.append(f"left out: {bad} ({hints})")
     if not searched:
         raise NothingToDoError(
             "no pictures to search", "give images or a video of the board"
@@ -206,9 +208,8 @@ def calibrate(found: Found) -> Calibration:
         fitted, seen, focal_sd, projection, chosen.held_out_rms_px, len(rejected)
     )
     word, reasons = judge(measured)
-    oriented = [v for v in fitted.views if v.upside_down is not None]
-    usually = sum(bool(v.upside_down) for v in oriented) * 2 > len(oriented)
-    turned = tuple(v.name for v in oriented if v.upside_down != usually)
+    usually = float(np.mean([v.upside_down for v in fitted.views])) > 0.5
+    turned = tuple(v.name for v in fitted.views if v.upside_down != usually)
     if copies:
         notices.append(
             f"{len(copies)} views are copies of others and count once:"

@@ -51,7 +51,7 @@ class View:
 
     name : picture, or clip and time; size : (width, height) px
     ids : (n,) corner numbers, row by row; board_m : (n, 3) metres; pixels : (n, 2) float64
-    finder : which corner finder; sharpness : see `corner_sharpness`; upside_down : None
+    finder : which corner finder; sharpness : see `corner_sharpness`; upside_down : False
     where the board cannot tell"""
 
     name: str
@@ -61,7 +61,7 @@ class View:
     pixels: np.ndarray
     finder: str
     sharpness: float = 0.0
-    upside_down: bool | None = None
+    upside_down: bool = False
 
     def without(self, number: int) -> View:
         """Without one of its corners."""
@@ -87,7 +87,7 @@ def find_view(gray: np.ndarray, spec: BoardSpec, name: str) -> View | None:
         pixels,
         finder,
         corner_sharpness(gray, pixels),
-        None if spec.turn_is_ambiguous else bool(rise < 0),
+        bool(rise < 0) and not spec.turn_is_ambiguous,
     )
 
 

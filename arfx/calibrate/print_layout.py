@@ -48,7 +48,8 @@ class Text(NamedTuple):
 
 
 class Sheet(NamedTuple):
-    """A page. black : of each print (n, 4, 2) mm, rectangles;  lines : (n, 2, 2) mm, ends of thin black ones"""
+    """A page. black : of each print (n, 4, 2) mm, rectangles;  lines : (n, 2, 2) mm, ends of
+    thin black ones"""
 
     title: str
     width_mm: float

@@ -60,7 +60,7 @@ def drop_copies(views: Sequence[View]) -> tuple[list[View], list[Rejected]]:
             dropped.append(Rejected(view.name, reason))
         else:
             kept.append(view)
-    return [v for v in views if v in kept], dropped
+    return sorted(kept, key=list(views).index), dropped
 
 
 def _moved_px(a: View, b: View) -> float:

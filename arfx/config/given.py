@@ -55,14 +55,10 @@ def parse_setting(text: str) -> tuple[list[str], Any]:
     they parse as it, else text. Raises ConfigError."""
     key, equals, value = text.partition("=")
     parts = [p.strip() for p in key.split(".")]
-    if not equals or len(parts) < 2 or not all(parts):
+    if not equals or not all(parts) or not 2 <= len(parts) <= _MOST_PARTS:
         raise ConfigError(
             f"--set {_short(text)!r} is not STAGE.KEY=VALUE",
             "for example --set output.crf=20",
-        )
-    if len(parts) > _MOST_PARTS:
-        raise ConfigError(
-            f"--set {_short(text)!r}: a key of {len(parts)} parts", "STAGE.KEY=VALUE"
         )
     return parts, parse_value(value, f"--set {_short(text)}")
 

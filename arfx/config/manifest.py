@@ -46,12 +46,9 @@ def read_manifest(path: Path, parameters: Parameters) -> list[list[JobFile]]:
         except ConfigError as e:
             problems.append(e.message)
     if not raw:
-        what = (
-            "[[job]] table" if path.suffix.lower() == ".toml" else "row below its heads"
-        )
         problems.append(
-            f"manifest {path} holds no {what}\nhelp: each names at least a clip; a job file"
-            " is given with --config"
+            f"manifest {path} holds no [[job]] table, or no row below its heads\nhelp: each"
+            " names at least a clip; a job file is given with --config"
         )
     if problems:
         raise ConfigError(listed(problems))
@@ -61,12 +58,9 @@ def read_manifest(path: Path, parameters: Parameters) -> list[list[JobFile]]:
 def listed(problems: Sequence[str]) -> str:
     """The first of them, once each, and how many more there are."""
     different = list(dict.fromkeys(problems))
-    more = (
-        [f"… and {len(different) - _MOST_PROBLEMS} more"]
-        if len(different) > _MOST_PROBLEMS
-        else []
-    )
-    return "\n\n".join([*different[:_MOST_PROBLEMS], *more])
+    more = len(different) - _MOST_PROBLEMS
+    rest = [f"… and {more} more"] * (more > 0)
+    return "\n\n".join([*different[:_MOST_PROBLEMS], *rest])
 
 
 def _toml(path: Path, parameters: Parameters) -> tuple[list[JobFile], list[JobFile]]:

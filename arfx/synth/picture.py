@@ -143,29 +143,20 @@ class Picture:
         """(h, w, 2) float64 motion of each pixel's surface point to the next frame, px.
         NaN where there is nothing, at the last frame, across a cut, and where the point
         leaves the lens's field."""
-        out = np.full((*depth.shape, 2), np.nan)
-        world = self.world
-        if (
-            frame + 1 >= world.scene.frames
-            or world.shots[frame + 1] != world.shots[frame]
-        ):
+        out, world = np.full((*depth.shape, 2), np.nan), self.world
+        if world.shots[frame] not in world.shots[frame + 1 : frame + 2]:
             return out
-        t0, t1 = (float(world.frame_times_s[i]) for i in (frame, frame + 1))
+        t0, t1 = world.frame_times_s[[frame, frame + 1]].tolist()
         rays = self.rays(0.0, 0.0)
         points = np.dstack([rays, np.ones(depth.shape)]) * depth[..., None]
         room_from_camera = world.camera_at(frame, t0).inverse()
         next_camera = world.camera_at(frame + 1, t1)
-        before, after = world.poses(t0), world.poses(t1)
+        poses = zip(world.poses(t0), world.poses(t1), strict=True)
         y, x = np.indices(depth.shape)
         grid = np.dstack([x, y])
-        for number in np.unique(owner[owner > 0]):
+        for number, (before, after) in enumerate(poses, 1):
             here = owner == number
-            move = (
-                next_camera
-                @ after[number - 1]
-                @ before[number - 1].inverse()
-                @ room_from_camera
-            )
+            move = next_camera @ after @ before.inverse() @ room_from_camera
             out[here] = world.camera.project(move.apply(points[here])) - grid[here]
         return out
 
@@ -224,11 +215,8 @@ def unit_noise(
     white = rng.standard_normal(shape, np.float32)
     if correlation_px <= 0:
         return white
-    radius = max(int(np.ceil(4 * correlation_px)), 1)
-    kernel = cv2.getGaussianKernel(2 * radius + 1, correlation_px, cv2.CV_64F)[:, 0]
-    blurred = cv2.sepFilter2D(
-        white, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REFLECT
-    )
-    return np.asarray(
-        blurred / np.float32((kernel**2).sum())
-    )  # variance of a separable filter: (sum k²)², its root
+    side = 2 * max(int(np.ceil(4 * correlation_px)), 1) + 1
+    kernel = cv2.getGaussianKernel(side, correlation_px)
+    blurred = cv2.sepFilter2D(white, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT)
+    # variance of a separable filter: (sum k²)², its root
+    return np.asarray(blurred / np.float32((kernel**2).sum()))

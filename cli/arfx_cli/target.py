@@ -48,6 +48,8 @@ def command(
     \b
     Example:
       arfx target 36h11:3:165mm -o marker.pdf"""
+    import numpy as np
+
     from arfx.calibrate.print_layout import lay_out, parse_targets, write_sheet
 
     targets = parse_targets(specs)
@@ -59,10 +61,10 @@ def command(
         " measure the ruler"
     )
     for target, black in zip(targets, sheet.black, strict=True):
-        x, y = black.min((0, 1))
+        (width, height), (x, y) = np.ptp(black, axis=(0, 1)), black.min((0, 1))
         detail(
-            f"{target}: its black begins {x:.1f} mm from the left and {y:.1f} mm from the top"
-            " of the page"
+            f"{target}: {width:g} x {height:g} mm of black, {x:.1f} mm from the left and"
+            f" {y:.1f} mm from the top of the page"
         )
     if as_json:
         emit_json(

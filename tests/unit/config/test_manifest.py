@@ -143,7 +143,7 @@ WRONG = {
     "m.toml: twice": ("m.toml", "[[job]]\nclip='a'\nfit='1cm'\nmodel={fit='2cm'}\n", ["model.fit is given twice", "m.toml:4"]),
     "m.toml: config": ("m.toml", "[[job]]\nclip='a'\nconfig = 3\n", ["config must be", "m.toml:3"]),
     "m.toml: three values": ("m.toml", "[[job]]\nclip='a'\noffset = '1cm'\n", ["model.offset", "is not three values", "m.toml:1"]),
-    "m.csv: no rows": ("m.csv", "clip,fit\n\n", ["holds no row"]),
+    "m.csv: no rows": ("m.csv", "clip,fit\n\n", ["no row"]),
     "m.csv: unknown": ("m.csv", "clip,fitt\na,1cm\nb,2cm\n", ["no setting 'fitt'", "m.csv:1", "did you mean 'fit'"]),
     "m.csv: a value": ("m.csv", "clip,fit\na,1cm\n\nb,15\n", ["model.fit", "not a length", "m.csv:4"]),
     "m.csv: a stage's": ("m.csv", "clip,dof.fnumbr\na,2\n", ["[dof] has no setting 'fnumbr'", "m.csv:2", "'fnumber'"]),
