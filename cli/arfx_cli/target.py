@@ -48,8 +48,6 @@ def command(
     \b
     Example:
       arfx target 36h11:3:165mm -o marker.pdf"""
-    import numpy as np
-
     from arfx.calibrate.print_layout import lay_out, parse_targets, write_sheet
 
     targets = parse_targets(specs)
@@ -61,9 +59,9 @@ def command(
         " measure the ruler"
     )
     for target, black in zip(targets, sheet.black, strict=True):
-        (width, height), (x, y) = np.ptp(black, axis=(0, 1)), black.min((0, 1))
+        (x, y), (right, lower) = black.min((0, 1)), black.max((0, 1))
         detail(
-            f"{target}: {width:g} x {height:g} mm of black, {x:.1f} mm from the left and"
+            f"{target}: {right - x:g} x {lower - y:g} mm of black, {x:.1f} mm from the left and"
             f" {y:.1f} mm from the top of the page"
         )
     if as_json:
