@@ -7,6 +7,8 @@ Source of the projection uncertainty: mrcal's documentation, "Projection uncerta
 
 from __future__ import annotations
 
+import tomllib
+from pathlib import Path
 from typing import NamedTuple
 
 import cv2
@@ -14,6 +16,7 @@ import numpy as np
 
 from arfx.calibrate.solve import Fit, Uncertainty, grid_pixels, without_pose
 from arfx.core.numerics import arccos
+from arfx.core.pose import rotation_from_rotvec
 
 CELLS = (8, 6)  # across, down: at 4:3 they are square
 # a board tilted by less separates focal length from distance too weakly: its depth range is
@@ -31,81 +34,8 @@ SIDES = (
 )  # of the board, as `Coverage.azimuth_deg` turns
 
 
-class Limit(NamedTuple):
-    """A figure of the calibration and what it must reach: at least, where good is more than
-    poor, else at most.
-
-    text : the reason when it does not, with {value} and {limit}"""
-
-    name: str
-    good: float
-    poor: float
-    text: str
-
-
-# `poor`: a virtual object drawn with it is visibly wrong (1 % of focal length is 1 % of
-# every distance); `good`: the camera's error stays below what marker corners add in each
-# frame (.3 % and about a pixel).
-LIMITS = (
-    Limit(
-        "views",
-        10,
-        5,
-        "only {value:.0f} different views take part (good: {limit:.0f})",
-    ),
-    Limit(
-        "focal_sd_percent",
-        0.3,
-        1.0,
-        "the focal length is known to ±{value:.2g} % only (good: {limit:g} %)",
-    ),
-    Limit(
-        "tilt_max_deg",
-        25,
-        15,
-        "the board is seen nearly frontally: steepest tilt {value:.0f}° (good:"
-        " {limit:.0f}°)",
-    ),
-    Limit(
-        "tilt_directions",
-        3,
-        1,
-        "the board tilts over 15° to {value:.0f} of 4 sides (good: {limit:.0f})",
-    ),
-    Limit(
-        "cells_percent",
-        60,
-        30,
-        "corners cover {value:.0f} % of the picture (good: {limit:.0f} %)",
-    ),
-    Limit(
-        "radius_percent",
-        70,
-        45,
-        "they reach {value:.0f} % of the way to the picture's corners (good:"
-        " {limit:.0f} %)",
-    ),
-    Limit(
-        "held_out_permille",
-        0.8,
-        3.0,
-        "views miss their prediction by {value:.2g} ‰ of the width (good: {limit:g} ‰)",
-    ),
-    Limit(
-        "projection_sd_permille",
-        2.0,
-        10.0,
-        "towards the border the projection is uncertain by {value:.2g} ‰ of the width"
-        " (good: {limit:g} ‰)",
-    ),
-    Limit(
-        "rejected_percent",
-        25,
-        50,
-        "{value:.0f} % of the views disagree with the others (good: {limit:.0f} %): two"
-        " boards or cameras, or a bent board?",
-    ),
-)
+# figure of the calibration -> what it must reach (good, poor) and the reason when it does not
+LIMITS = tomllib.loads(Path(__file__).with_name("limits.toml").read_text("utf-8"))
 
 
 class Verdict(NamedTuple):
@@ -123,10 +53,11 @@ def judge(figures: dict[str, float]) -> tuple[str, tuple[str, ...]]:
     A figure that is not a number counts as poor.
     """
     graded = []
-    for name, good, poor, text in LIMITS:
-        value, sign = figures[name], 1 if good > poor else -1
+    for name, limit in LIMITS.items():
+        value, good, poor = figures[name], limit["good"], limit["poor"]
+        sign = 1 if good > poor else -1
         grade = int(sign * value >= sign * poor) + int(sign * value >= sign * good)
-        graded.append((grade, text.format(value=value, limit=good)))
+        graded.append((grade, limit["text"].format(value=value, limit=good)))
     graded.sort(key=lambda figure: figure[0])
     word = (POOR, USABLE, GOOD)[graded[0][0]]
     return word, tuple(text for grade, text in graded if grade < 2)
@@ -143,16 +74,12 @@ def figures(
     """What LIMITS judges. The projection's is that of nine tenths of the picture: its very
     corners are nearly always extrapolated, and are reported apart."""
     width = fitted.camera.width
-    projection_sd = (
-        float(np.quantile(projection_sd_px, 0.9))
-        if projection_sd_px.size
-        else float("inf")
-    )
+    projection_sd = float(np.quantile(projection_sd_px, 0.9))
     return {
-        "views": float(len(fitted.views)),
+        "views": len(fitted.views),
         "focal_sd_percent": 100 * focal_sd_px / fitted.camera.fx,
         "tilt_max_deg": float(seen.tilt_deg.max()),
-        "tilt_directions": float(seen.directions),
+        "tilt_directions": seen.directions,
         "cells_percent": 100 * seen.cells,
         "radius_percent": 100 * seen.radius,
         "held_out_permille": 1000 * held_out_px / width,
@@ -181,7 +108,7 @@ class Coverage(NamedTuple):
     azimuth_deg : (V,) of each view,
     the board's normal against the optical axis, and where its near edge points in the
     picture (0 right, 90 down);
-    span_deg : largest angle between the normals of two views; tilted_to : (4,) views tilted
+    tilted_to : (4,) views tilted
     by more than TILTED_DEG with the near edge on each of SIDES"""
 
     counts: np.ndarray
@@ -189,7 +116,6 @@ class Coverage(NamedTuple):
     radius: float
     tilt_deg: np.ndarray
     azimuth_deg: np.ndarray
-    span_deg: float
     tilted_to: np.ndarray
 
     @property
@@ -208,14 +134,13 @@ def coverage(fitted: Fit) -> Coverage:
         bins=(CELLS[1], CELLS[0]),
         range=((-0.5, h - 0.5), (-0.5, w - 0.5)),
     )
-    normals = np.array([cv2.Rodrigues(r)[0][:, 2] for r in fitted.rotations])
+    normals = rotation_from_rotvec(fitted.rotations)[:, :, 2]
     normals = np.where(
         normals[:, 2:] <= 0, normals, -normals
     )  # in camera coordinates, towards the camera's side
     tilt = np.degrees(arccos(-normals[:, 2]))
     # the normal leans away from the near edge, so the near edge lies on the opposite side
     azimuth = np.degrees(np.arctan2(-normals[:, 1], -normals[:, 0])) % 360
-    span = float(np.degrees(arccos((normals @ normals.T).min())))
     quarter = ((azimuth + 45) % 360 // 90).astype(int)
     centre = np.array([(w - 1) / 2, (h - 1) / 2])
     radius = float(np.linalg.norm(points - centre, axis=1).max() / np.hypot(w / 2, h / 2))
@@ -225,7 +150,6 @@ def coverage(fitted: Fit) -> Coverage:
         radius,
         tilt,
         azimuth,
-        span,
         np.bincount(quarter[tilt > TILTED_DEG], minlength=4),
     )
 
@@ -235,9 +159,8 @@ def projection_jacobian(fitted: Fit) -> np.ndarray:
     camera taken out.
 
     A change of intrinsics that only turns the picture is no error for anyone who estimates
-    the pose with them. Pixels that no direction maps to are left out."""
+    the pose with them. The camera's distortion must not fold inside (`solve.one_to_one`)."""
     rays = fitted.camera.directions(grid_pixels(fitted.camera, *GRID))
-    rays = rays[np.isfinite(rays).all(-1)]
     j = cv2.projectPoints(
         rays, np.zeros(3), np.zeros(3), fitted.camera.matrix, fitted.camera.distortion
     )[1]

@@ -44,11 +44,8 @@ class BoardSpec:
     @property
     def inner(self) -> tuple[int, int]:
         """Inner corners (across, down)."""
-        return (
-            (self.columns, self.rows)
-            if self.kind == CHESSBOARD
-            else (self.columns - 1, self.rows - 1)
-        )
+        less = int(self.kind == CHARUCO)
+        return self.columns - less, self.rows - less
 
     @property
     def squares(self) -> tuple[int, int]:
@@ -60,10 +57,8 @@ class BoardSpec:
         row, y down the rows.
         """
         across, down = self.inner
-        x, y = np.meshgrid(np.arange(across), np.arange(down))
-        return (
-            np.stack([x.ravel(), y.ravel(), np.zeros(across * down)], -1) * self.square_m
-        )
+        y, x, z = np.indices((down, across, 1)).reshape(3, -1)
+        return np.stack([x, y, z], -1) * self.square_m
 
     @property
     def turn_is_ambiguous(self) -> bool:

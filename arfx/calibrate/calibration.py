@@ -18,7 +18,7 @@ from arfx.calibrate.advice import (
     next_picture,
     projection_uncertainty_px,
 )
-from arfx.calibrate.board import CHARUCO, CHESSBOARD, BoardSpec
+from arfx.calibrate.board import CHARUCO, BoardSpec
 from arfx.calibrate.corners import View, find_view, seen_instead
 from arfx.calibrate.screen import (
     Rejected,
@@ -66,7 +66,6 @@ class Calibration(NamedTuple):
     """fitted, known, seen : solution, its uncertainty, coverage; evidence : every lens model's
     showing"""
 
-    spec: BoardSpec
     fitted: Fit
     known: Uncertainty
     seen: Coverage
@@ -94,60 +93,57 @@ def find_board(
     Raises InputError where none can be read, or no size and orientation is that of most;
     NothingToDoError, saying what is seen instead, if no board is found."""
     views, empty, notices = list[View](), list[str](), list[str]()
-    damage: dict[str, list[tuple[str, str]]] = defaultdict(list)
+    unread = list[InputError]()
+    kinds: dict[str, list[str]] = defaultdict(list)
     samples: list[tuple[str, np.ndarray]] = []
-    kinds: dict[str, tuple[int, int, int]] = {}
     searched = 0
     for name, gray, turn in pictures:
         if isinstance(gray, InputError):
-            damage[gray.hint].append((name, gray.message))
+            unread.append(gray)
             continue
-        kinds[name] = (gray.shape[1], gray.shape[0], turn)
+        upside_down = " upside down by EXIF" * (turn in UPSIDE_DOWN)
+        kinds[f"{gray.shape[1]}x{gray.shape[0]}{upside_down}"].append(name)
         searched += 1
         view = find_view(gray, spec, name)
         if view is None and spec.kind == CHARUCO and not views:
             other = replace(spec, legacy=not spec.legacy)
             view = find_view(gray, other, name)
             if view is not None:
-                was, spec = spec, other
+                pattern = "legacy" if other.legacy else "new"
                 notices.append(
-                    f"the board has the {'legacy' if spec.legacy else 'new'} pattern:"
-                    f" {spec}, not {was}"
+                    f"the board has the {pattern} pattern: {other}, not {spec}"
                 )
-        if view is None:
+                spec = other
+        if view is not None:
+            views.append(view)
+        else:
             empty.append(name)
             if len(samples) < LOOKED_AT:
                 samples.append((name, gray))
-        else:
-            views.append(view)
         progress(searched, len(views))
-    bad = [
-        "; likewise ".join([rows[0][1], *(name for name, _ in rows[1:])])
-        for rows in damage.values()
-    ]
-    if bad and not kinds:
-        raise InputError("; ".join(bad), "; ".join(damage))
-    notices += [
-        f"left out: {text} ({hint})" for text, hint in zip(bad, damage, strict=True)
-    ]
-    others = _of_other_kinds(kinds, notices)
-    views = [v for v in views if v.name not in others]
-    instead = tuple(
-        f"{name}: {what}" for name, gray in samples if (what := seen_instead(gray, spec))
-    )
-    if not views:
-        if not kinds:
-            raise NothingToDoError(
-                "no pictures to search", "give images or a video of the board"
-            )
-        saw = (
-            f"; instead {'; '.join(instead)}"
-            if instead
-            else "; no other board or marker either"
-        )
-        saw += "".join(f"; {n}" for n in notices)
+    bad = "; ".join(e.message for e in unread)
+    hints = "; ".join(dict.fromkeys(e.hint for e in unread))
+    if bad and not searched:
+        raise InputError(bad, hints)
+    if bad:
+        notices.append(f"left out: {bad} ({hints})")
+    if not searched:
         raise NothingToDoError(
-            f"board {spec} is in none of {searched} pictures{saw}",
+            "no pictures to search", "give images or a video of the board"
+        )
+    usual = _usual_kind(kinds, notices)
+    views = [v for v in views if v.name in usual]
+    seen = [(name, seen_instead(gray, spec)) for name, gray in samples]
+    instead = tuple(f"{name}: {what}" for name, what in seen if what)
+    if not views:
+        saw = (
+            "instead " + "; ".join(instead)
+            if instead
+            else "no other board or marker either"
+        )
+        raise NothingToDoError(
+            f"board {spec} is in none of {searched} pictures; "
+            + "; ".join([saw, *notices]),
             "give the --board that was printed; a chessboard must be wholly in the picture,"
             " with a white margin",
         )
@@ -156,64 +152,36 @@ def find_board(
     return Found(spec, tuple(views), searched, tuple(empty), instead, tuple(notices))
 
 
-def _of_other_kinds(
-    kinds: Mapping[str, tuple[int, int, int]], notices: list[str]
-) -> set[str]:
-    """Names of the pictures that are not of the usual size, or upside down against the
-    others; a notice says so.
+def _usual_kind(kinds: Mapping[str, Sequence[str]], notices: list[str]) -> Sequence[str]:
+    """Names of the pictures of the usual size, held as the others; a notice says which are not.
 
-    kinds : width, height and EXIF orientation by name. Raises InputError where no kind is
-    that of most.
+    kinds : names by size and orientation. Raises InputError where no kind is that of most.
     """
-    groups: dict[tuple[int, int, bool], list[str]] = defaultdict(list)
-    for name, (width, height, turn) in kinds.items():
-        groups[width, height, turn in UPSIDE_DOWN].append(name)
-    if len(groups) < 2:
-        return set()
-    mixed = len({turn for _, _, turn in kinds.values()}) > 1
-    words = {}
-    for (width, height, _), names in groups.items():
-        tags = (
-            " by EXIF orientation"
-            f" {', '.join(map(str, sorted({kinds[n][2] for n in names})))}"
-            if mixed
-            else ""
-        )
-        words[names[0]] = (
-            f"{_first_names(names)} {'is' if len(names) == 1 else 'are'}"
-            f" {width}x{height}{tags}"
-        )
-    most = max(groups.values(), key=len)
-    cause = (
-        "; their EXIF orientations are mixed: the camera was turned, or its tags are wrong"
-        if mixed
-        else ""
+    usual = max(kinds.values(), key=len)
+    words = ", ".join(
+        f"{_first_names(names)} {'is' if len(names) == 1 else 'are'} {kind}"
+        for kind, names in kinds.items()
     )
-    if 2 * len(most) <= len(kinds):
+    if 2 * len(usual) <= sum(map(len, kinds.values())) and len(kinds) > 1:
         raise InputError(
-            "pictures of different sizes or orientations:"
-            f" {', '.join(words.values())}{cause}",
+            f"pictures of different sizes or orientations: {words}",
             "a calibration belongs to one size and orientation: give those of one camera"
-            " mode, held one way"
-            + (
-                " (if they are, exiftool -Orientation=1 -n mends the tags)"
-                if mixed
-                else ""
-            ),
+            " mode, held one way (if they are, their EXIF orientations are wrong:"
+            " exiftool -Orientation=1 -n mends the tags)",
         )
-    usual = words.pop(most[0])
-    notices.append(f"left out: {', '.join(words.values())}; {usual}{cause}")
-    return set(kinds) - set(most)
+    if len(kinds) > 1:
+        notices.append(f"pictures of the most frequent kind alone are used: {words}")
+    return usual
 
 
-def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
+def calibrate(found: Found) -> Calibration:
     """Intrinsics from the views found.
 
     Raises NothingToDoError if fewer than three different views agree.
     """
     notices = list(found.notices)
     unique, copies = drop_copies(found.views)
-    unique = most_varied(unique, keep)
+    unique = most_varied(unique, KEEP_VIEWS)
     if len(unique) < 3:
         raise NothingToDoError(
             f"board {found.spec} is seen in {len(found.views)} of {found.searched}"
@@ -223,12 +191,15 @@ def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
         )
     # twice: with a rich model the views' errors are smaller, and a bad view stands out that
     # hid behind the lens's distortion
-    first_fit, rejected = reject_views(unique)
+    first_fit, _ = reject_views(unique)
     chosen, _ = choose_model(first_fit.views)
     again, rejected = reject_views(unique, chosen.model)
-    trimmed, corners_dropped = drop_corners(again)
+    trimmed = drop_corners(again)
     chosen, table = choose_model(trimmed)
     fitted = chosen.fitted or again
+    corners_dropped = sum(len(v.ids) for v in again.views) - sum(
+        len(v.ids) for v in trimmed
+    )
     known = uncertainty(fitted)
     seen = coverage(fitted)
     focal_sd = float(max(known.standard_deviations[:2]))
@@ -237,9 +208,8 @@ def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
         fitted, seen, focal_sd, projection, chosen.held_out_rms_px, len(rejected)
     )
     word, reasons = judge(measured)
-    oriented = [v for v in fitted.views if v.upside_down is not None]
-    usually = sum(bool(v.upside_down) for v in oriented) * 2 > len(oriented)
-    turned = tuple(v.name for v in oriented if v.upside_down != usually)
+    usually = float(np.mean([v.upside_down for v in fitted.views])) > 0.5
+    turned = tuple(v.name for v in fitted.views if v.upside_down != usually)
     if copies:
         notices.append(
             f"{len(copies)} views are copies of others and count once:"
@@ -251,12 +221,6 @@ def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
             f"{len(turned)} views show the board upside down (corners renumbered):"
             f" {_first_names(turned)}"
         )
-    if found.spec.turn_is_ambiguous and found.spec.kind == CHESSBOARD:
-        notices.append(
-            f"a {found.spec.columns}x{found.spec.rows} chessboard looks the same after half"
-            " a turn: which views are upside down cannot be known (the intrinsics do not"
-            " suffer; one odd and one even count avoids it)"
-        )
     if found.empty:
         notices.append(
             f"no board in {len(found.empty)} of {found.searched} pictures:"
@@ -266,7 +230,6 @@ def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
         notices.append(f"{corners_dropped} corners miss by far and are left out")
     verdict = Verdict(word, reasons, next_picture(seen))
     return Calibration(
-        found.spec,
         fitted,
         known,
         seen,

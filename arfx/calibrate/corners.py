@@ -13,7 +13,6 @@ Source: Förstner and Gülch 1987 (cornerSubPix); Duda and Frese 2018 (the secto
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -52,7 +51,7 @@ class View:
 
     name : picture, or clip and time; size : (width, height) px
     ids : (n,) corner numbers, row by row; board_m : (n, 3) metres; pixels : (n, 2) float64
-    finder : which corner finder; sharpness : see `corner_sharpness`; upside_down : None
+    finder : which corner finder; sharpness : see `corner_sharpness`; upside_down : False
     where the board cannot tell"""
 
     name: str
@@ -62,8 +61,13 @@ class View:
     pixels: np.ndarray
     finder: str
     sharpness: float = 0.0
-    upside_down: bool | None = None
-    OF_CORNERS: ClassVar = ("ids", "board_m", "pixels")
+    upside_down: bool = False
+
+    def without(self, number: int) -> View:
+        """Without one of its corners."""
+        names = ("ids", "board_m", "pixels")
+        rest = {name: np.delete(getattr(self, name), number, 0) for name in names}
+        return replace(self, **rest)
 
 
 def find_view(gray: np.ndarray, spec: BoardSpec, name: str) -> View | None:
@@ -73,11 +77,8 @@ def find_view(gray: np.ndarray, spec: BoardSpec, name: str) -> View | None:
         return None
     ids, pixels, finder = found
     board = spec.corners_m[ids]
-    # least squares slope of pixel y on board y: does the board's y, down its rows, run
-    # upwards in the picture?
-    rise = (
-        (board[:, 1] - board[:, 1].mean()) * (pixels[:, 1] - pixels[:, 1].mean())
-    ).sum()
+    # does the board's y, down its rows, run upwards in the picture?
+    rise = np.cov(board[:, 1], pixels[:, 1])[0, 1]
     return View(
         name,
         gray.shape[::-1],
@@ -86,7 +87,7 @@ def find_view(gray: np.ndarray, spec: BoardSpec, name: str) -> View | None:
         pixels,
         finder,
         corner_sharpness(gray, pixels),
-        None if spec.turn_is_ambiguous else bool(rise < 0),
+        bool(rise < 0) and not spec.turn_is_ambiguous,
     )
 
 
@@ -146,8 +147,8 @@ def corner_sharpness(gray: np.ndarray, pixels: np.ndarray) -> float:
     """Steepest grey step per pixel around the corners over the contrast there: 1 / edge
     width in px, ~0.5 sharp, 0 blurred.
     """
-    some = np.round(pixels[:: max(1, len(pixels) // 24)]).tolist()
-    patches = np.array([cv2.getRectSubPix(gray, (11, 11), at) for at in some], float)
+    places = np.round(pixels).tolist()
+    patches = np.array([cv2.getRectSubPix(gray, (11, 11), at) for at in places], float)
     slopes = np.percentile(np.hypot(*np.gradient(patches, axis=(1, 2))), 95, (1, 2))
     low, high = np.percentile(patches, (5, 95), (1, 2))
     return float(np.median(divide(slopes, high - low)))
@@ -180,15 +181,13 @@ def seen_instead(gray: np.ndarray, spec: BoardSpec) -> str:
     is recognised; "" for nothing.
 
     Cost: about 1 s at 1920x1080; meant for a few pictures."""
-    families = {}
+    ids, family = set[int](), ""
     for f in SEARCHED:
         found = cv2.aruco.ArucoDetector(dictionary(f)).detectMarkers(gray)[1]
-        ids = set() if found is None else {int(i) for i in np.ravel(found)}
-        if len(ids) >= (1 if f in TELLING else LEAST_MARKERS):
-            families[f] = ids
-    if families:
-        family = max(families, key=lambda f: len(families[f]))
-        ids = families[family]
+        own = set() if found is None else {int(i) for i in np.ravel(found)}
+        if len(own) >= (1 if f in TELLING else LEAST_MARKERS) and len(own) > len(ids):
+            ids, family = own, f
+    if ids:
         if spec.kind == CHARUCO:
             better = _working_spec(gray, spec, family, max(ids))
             if better is not None:

@@ -17,28 +17,23 @@ def document(result: Calibration) -> dict[str, Any]:
     fitted, known, seen, found = result.fitted, result.known, result.seen, result.found
     camera, sd = fitted.camera, result.projection_sd_px
 
-    def by_name(values: np.ndarray) -> dict[str, float]:
-        return dict(zip(fitted.model.parameters, values.tolist(), strict=True))
-
     return {
         "verdict": result.verdict.word,
         "reasons": list(result.verdict.reasons),
         "next_picture": result.verdict.next_picture,
         "notices": list(result.notices),
-        "board": str(result.spec),
+        "board": str(found.spec),
         "image_width": camera.width,
         "image_height": camera.height,
         "camera_matrix": camera.matrix.tolist(),
         "distortion_coefficients": camera.distortion.tolist(),
         "lens_model": fitted.model.name,
-        "standard_deviations": by_name(known.standard_deviations),
-        "standard_deviation_parts": {
-            "independent_corners": by_name(known.independent),
-            "between_views_jackknife": by_name(known.jackknife),
-        },
+        "standard_deviations": dict(
+            zip(fitted.model.parameters, known.standard_deviations.tolist(), strict=True)
+        ),
         "reprojection_rms_px": fitted.rms_px,
         "held_out_rms_px": result.chosen.held_out_rms_px,
-        "corner_noise_px": known.sigma_px,
+        "corner_noise_px": fitted.noise_px,
         "condition": known.condition,
         "projection_sd_px": {
             "median": float(np.median(sd)),
@@ -61,7 +56,6 @@ def document(result: Calibration) -> dict[str, Any]:
             "counts": seen.counts.tolist(),
             "radius": seen.radius,
             "tilt_max_deg": float(seen.tilt_deg.max()),
-            "tilt_span_deg": seen.span_deg,
             "tilt_directions": seen.directions,
         },
         "figures": result.figures,

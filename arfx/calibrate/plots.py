@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from arfx.calibrate.advice import GRID, TILTED_DEG
@@ -24,7 +23,7 @@ def write_plots(result: Calibration, paths: Sequence[Path]) -> None:
     """Write the two pictures, as PNG, into existing folders."""
     for path, figure in zip(paths, (_residuals(result), _coverage(result)), strict=True):
         with atomic_write(path) as part:
-            FigureCanvasAgg(figure).print_figure(part, format="png", dpi=DPI)
+            figure.savefig(part, format="png", dpi=DPI)
 
 
 def _residuals(result: Calibration) -> Figure:
@@ -66,12 +65,11 @@ def _coverage(result: Calibration) -> Figure:
     picture = figure.add_subplot(1, 2, 1)
     tilts = figure.add_subplot(1, 2, 2, projection="polar")
     camera, seen = result.fitted.camera, result.seen
-    if result.projection_sd_px.size == GRID[0] * GRID[1]:
-        x, y = grid_pixels(camera, *GRID).reshape(*GRID[::-1], 2).transpose(2, 0, 1)
-        values = result.projection_sd_px.reshape(x.shape)
-        filled = picture.contourf(x, y, values, levels=12, cmap="YlOrRd", alpha=0.7)
-        words = "projection uncertainty (1 standard deviation), px"
-        figure.colorbar(filled, ax=picture, label=words, shrink=0.8)
+    x, y = grid_pixels(camera, *GRID).T.reshape(2, *GRID[::-1])
+    values = result.projection_sd_px.reshape(x.shape)
+    filled = picture.contourf(x, y, values, levels=12, cmap="YlOrRd", alpha=0.7)
+    words = "projection uncertainty (1 standard deviation), px"
+    figure.colorbar(filled, ax=picture, label=words, shrink=0.8)
     for view in result.fitted.views:
         picture.plot(*view.pixels.T, ".", markersize=2.5)
     views = len(result.fitted.views)

@@ -39,18 +39,6 @@ LARGEST_PX = 30000  # along one side of a PNG: 3.6 GB in memory
 RULER_MM = (100.0, 50.0)  # the first that fits
 
 
-class Cells(NamedTuple):
-    """Square cells of one size.
-
-    x_mm, y_mm : upper left corner; cell_mm : side; black : (rows, columns) bool
-    """
-
-    x_mm: float
-    y_mm: float
-    cell_mm: float
-    black: np.ndarray
-
-
 class Text(NamedTuple):
     """Middle of the baseline at (x_mm, y_mm); letters `TEXT_MM` high."""
 
@@ -60,14 +48,15 @@ class Text(NamedTuple):
 
 
 class Sheet(NamedTuple):
-    """A page. lines : (x0, y0, x1, y1) mm, thin black"""
+    """A page. black : of each print (n, 4, 2) mm, rectangles;  lines : (n, 2, 2) mm, ends of
+    thin black ones"""
 
     title: str
     width_mm: float
     height_mm: float
-    cells: tuple[Cells, ...]
-    texts: tuple[Text, ...]
-    lines: tuple[tuple[float, float, float, float], ...]
+    black: list[np.ndarray]
+    texts: list[Text]
+    lines: np.ndarray
 
 
 Target = MarkerSpec | BoardSpec
@@ -137,18 +126,26 @@ def lay_out(targets: Sequence[Target], page: str = "a4") -> Sheet:
 
 class _Print(NamedTuple):
     """One marker or board. size_mm : width, height, and the white that detectors need around
-    it;  cells : from its upper left corner;  words : under it"""
+    it;  black : (n, 4, 2) from its upper left corner;  words : under it"""
 
     size_mm: tuple[float, float, float]
-    cells: list[Cells]
+    black: np.ndarray
     words: str
+
+
+def outlines(black: np.ndarray, cell_mm: float, place_mm: Any = (0.0, 0.0)) -> np.ndarray:
+    """(n, 4, 2) mm, a rectangle for every black cell of a pattern (rows, columns): filled as
+    one path they show no hairlines between them. place_mm : of its upper left corner
+    """
+    corners = np.argwhere(black)[:, None, ::-1] + [(0, 0), (1, 0), (1, 1), (0, 1)]
+    return corners * cell_mm + place_mm
 
 
 def _marker(marker: MarkerSpec) -> _Print:
     size, black = marker.size_m * 1000, ~marker_cells(marker.family, marker.id)
     module = size / len(black)  # the least white; neighbours share nothing
     words = f"{marker}" if size >= 40 else f"{marker.key} {size:g}mm"
-    return _Print((size, size, module), [Cells(0, 0, module, black)], words)
+    return _Print((size, size, module), outlines(black, module), words)
 
 
 def _board(spec: BoardSpec) -> _Print:
@@ -158,17 +155,17 @@ def _board(spec: BoardSpec) -> _Print:
     # number of rows is even
     first_white = spec.legacy and spec.rows % 2 == 0
     i, j = np.mgrid[0:rows, 0:columns]
-    cells = [Cells(0, 0, square, (i + j) % 2 == int(first_white))]
+    black = [outlines((i + j) % 2 == int(first_white), square)]
     if spec.kind == CHARUCO:
         board = charuco_board(spec)
         for number, corners in zip(
             np.ravel(board.getIds()), board.getObjPoints(), strict=True
         ):
-            black = ~marker_cells(spec.family, int(number))
-            x, y, _ = 1000 * np.asarray(corners, float)[0]
-            cells.append(Cells(x, y, spec.marker_m * 1000 / len(black), black))
+            cells = ~marker_cells(spec.family, int(number))
+            place = 1000 * np.asarray(corners, float)[0, :2]
+            black.append(outlines(cells, 1000 * spec.marker_m / len(cells), place))
     words = str(spec) + (" (inner corners)" if spec.kind == CHESSBOARD else "")
-    return _Print((columns * square, rows * square, 0.0), cells, words)
+    return _Print((columns * square, rows * square, 0.0), np.concatenate(black), words)
 
 
 def _sheet(
@@ -186,29 +183,23 @@ def _sheet(
     columns = min(across, len(prints))
     rows = -(-len(prints) // columns)
     left, top = (width - columns * pitch_x) / 2, over + (room_y - rows * pitch_y) / 2
-    cells, texts = [], []
+    black, texts = [], []
     for i, p in enumerate(prints):
         row, column = divmod(i, columns)
         middle, upper = left + (column + 0.5) * pitch_x, top + row * pitch_y + white
         x, y = middle - p.size_mm[0] / 2, upper + (h - p.size_mm[1]) / 2
-        cells += [c._replace(x_mm=x + c.x_mm, y_mm=y + c.y_mm) for c in p.cells]
+        black.append(p.black + np.array((x, y)))
         texts.append(Text(middle, upper + h + white + LABEL_MM - 1, p.words))
     length = next((r for r in RULER_MM if r <= width - 2 * MARGIN_MM), RULER_MM[-1])
     x, y = (width - length) / 2, height - MARGIN_MM
-    lines = [(x, y, x + length, y)]
     ticks = np.arange(0, length + 1, 10)
-    lines += [(x + t, y - (3.0 if t in (0, length) else 1.5), x + t, y) for t in ticks]
+    lines = [[(x, y), (x + length, y)]]
+    lines += [
+        [(x + t, y - (3.0 if t in (0, length) else 1.5)), (x + t, y)] for t in ticks
+    ]
     words = f"{length:g} mm: measure this line; print at 100 %, not 'fit to page'"
     texts.append(Text(width / 2, y - 3.5, words))
-    return Sheet(title, width, height, tuple(cells), tuple(texts), tuple(lines))
-
-
-def outlines(cells: Cells) -> np.ndarray:
-    """(n, 4, 2) mm, a rectangle for every black cell: filled as one path they show no
-    hairlines between them.
-    """
-    corners = np.argwhere(cells.black)[:, None, ::-1] + [(0, 0), (1, 0), (1, 1), (0, 1)]
-    return corners * cells.cell_mm + [cells.x_mm, cells.y_mm]
+    return Sheet(title, width, height, black, texts, np.array(lines))
 
 
 def write_sheet(sheet: Sheet, path: Path, dpi: float = 300.0) -> None:
@@ -256,24 +247,16 @@ def _figure(sheet: Sheet, width_mm: float, height_mm: float) -> Any:
     axes = figure.add_axes((0, 0, 1, 1))
     axes.set(xlim=(0, width_mm), ylim=(height_mm, 0))
     axes.set_axis_off()
-    for cells in sheet.cells:
-        outline = Outline.make_compound_path_from_polys(
-            outlines(cells)[:, [0, 1, 2, 3, 0]]
-        )
-        axes.add_patch(
-            PathPatch(
-                outline, facecolor="black", edgecolor="none", linewidth=0, snap=True
-            )
-        )
-    for x0, y0, x1, y1 in sheet.lines:
-        axes.plot(
-            [x0, x1],
-            [y0, y1],
-            color="black",
-            linewidth=LINE_MM / MM_PER_INCH * 72,
-            solid_capstyle="butt",
-            clip_on=False,
-        )
+    corners = np.concatenate(sheet.black)[:, [0, 1, 2, 3, 0]]
+    outline = Outline.make_compound_path_from_polys(corners)
+    axes.add_patch(PathPatch(outline, facecolor="black", linewidth=0, snap=True))
+    axes.plot(
+        *sheet.lines.T,
+        color="black",
+        linewidth=LINE_MM / MM_PER_INCH * 72,
+        solid_capstyle="butt",
+        clip_on=False,
+    )
     size_pt = TEXT_MM / CAP_FRACTION / MM_PER_INCH * 72
     for t in sheet.texts:
         axes.text(t.x_mm, t.y_mm, t.words, ha="center", va="baseline", fontsize=size_pt)

@@ -8,10 +8,8 @@ themselves first."""
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
@@ -52,18 +50,17 @@ class Rejected(NamedTuple):
 
 def drop_copies(views: Sequence[View]) -> tuple[list[View], list[Rejected]]:
     """Keep of each group of equal views the sharpest."""
-    kept: dict[int, View] = {}
-    dropped: list[Rejected] = []
-    for i, view in sorted(enumerate(views), key=lambda numbered: -numbered[1].sharpness):
-        moved, twin = min(
-            ((_moved_px(view, k), k.name) for k in kept.values()), default=(np.inf, "")
-        )
-        if moved < SAME_VIEW_FRACTION * view.size[0]:
-            reason = f"the same view as {twin}: its corners moved {moved:.2f} px"
+    kept, dropped = list[View](), list[Rejected]()
+    for view in sorted(views, key=lambda v: -v.sharpness):
+        moved = [_moved_px(view, k) for k in kept]
+        nearest = min(moved, default=np.inf)
+        if nearest < SAME_VIEW_FRACTION * view.size[0]:
+            twin = kept[moved.index(nearest)].name
+            reason = f"the same view as {twin}: its corners moved {nearest:.2f} px"
             dropped.append(Rejected(view.name, reason))
         else:
-            kept[i] = view
-    return [kept[i] for i in sorted(kept)], dropped
+            kept.append(view)
+    return sorted(kept, key=list(views).index), dropped
 
 
 def _moved_px(a: View, b: View) -> float:
@@ -71,14 +68,12 @@ def _moved_px(a: View, b: View) -> float:
     half. Half turns count as equal.
     """
     shared, ia, ib = np.intersect1d(a.ids, b.ids, return_indices=True)
-    if len(shared) < max(len(a.ids), len(b.ids)) / 2:
+    if 2 * len(shared) < max(len(a.ids), len(b.ids)):
         return float("inf")
-    straight = rms(a.pixels[ia] - b.pixels[ib])
-    return (
-        min(straight, rms(a.pixels[ia] - b.pixels[ib][::-1]))
-        if len(shared) == len(a.ids) == len(b.ids)
-        else straight
-    )
+    moved = rms(a.pixels[ia] - b.pixels[ib])
+    if len(shared) == len(a.ids) == len(b.ids):
+        moved = min(moved, rms(a.pixels[ia] - b.pixels[ib][::-1]))
+    return moved
 
 
 def reject_views(
@@ -86,38 +81,32 @@ def reject_views(
 ) -> tuple[Fit, list[Rejected]]:
     """The fit of the views that agree, and the views that do not.
 
-    Raises NothingToDoError if no three views agree.
+    Raises NothingToDoError if they do not determine a camera.
     """
-    subsets = [views]
-    if len(views) > SUBSET_SIZE:
-        rng = np.random.default_rng(0)
-        subsets += [
-            [views[i] for i in rng.choice(len(views), SUBSET_SIZE, replace=False)]
-            for _ in range(SUBSETS)
-        ]
+
+    def errors_by(some: Sequence[View]) -> np.ndarray:
+        """(V,) how far each view misses with the camera of some, px."""
+        try:
+            camera = fit(some, model).camera
+        except NothingToDoError:
+            return np.full(len(views), 1e9)  # farther than any
+        return np.array([typical_px(pose_residual(v, camera)) for v in views])
+
+    rng = np.random.default_rng(0)
+    picks = (rng.permutation(len(views))[:SUBSET_SIZE] for _ in range(SUBSETS))
+    tries = [errors_by([views[i] for i in pick]) for pick in picks]
     # A majority must agree; what the others say does not matter. A small subset must be
     # clearly better: its intrinsics are weaker, so equal agreement speaks for all views.
-    errors, best = np.zeros(len(views)), float("inf")
-    for subset in subsets:
-        with contextlib.suppress(NothingToDoError):
-            found = _errors(views, fit(subset, model))
-            score = float(np.quantile(found, 0.6)) * (0.7 if subset is views else 1.0)
-            if score < best:
-                errors, best = found, score
+    tries.append(0.7 * errors_by(views))
+    errors = min(tries, key=lambda found: float(np.quantile(found, 0.6)))
     inside: list[View] = []
-    fitted = None
     for _ in range(10):
-        limit = rejection_limit_px(errors)
+        limit = max(np.sort(errors)[2], rejection_limit_px(errors))  # three at least
         chosen = [v for v, e in zip(views, errors, strict=True) if e <= limit]
-        if len(chosen) < 3 or chosen == inside:
-            if fitted is not None:
-                break
-            chosen = list(views)
-        inside = chosen
-        fitted = fit(inside, model)
-        errors = _errors(views, fitted)
-    assert fitted is not None
-    usual = float(np.median([typical_px(r) for r in fitted.residuals]))
+        if chosen == inside:
+            break
+        inside, errors = chosen, errors_by(chosen)
+    usual = float(np.median(errors))
     left_out = [
         Rejected(
             v.name,
@@ -127,12 +116,7 @@ def reject_views(
         for v, e in zip(views, errors, strict=True)
         if v not in inside
     ]
-    return fitted, left_out
-
-
-def _errors(views: Sequence[View], fitted: Fit) -> np.ndarray:
-    """(V,) how far each view misses with a camera, px."""
-    return np.array([typical_px(pose_residual(v, fitted.camera)) for v in views])
+    return fit(inside, model), left_out
 
 
 def typical_px(residuals: np.ndarray) -> float:
@@ -141,26 +125,23 @@ def typical_px(residuals: np.ndarray) -> float:
     return float(np.sqrt(np.median((residuals**2).sum(1)) / np.log(2)))
 
 
-def drop_corners(fitted: Fit) -> tuple[list[View], int]:
-    """The views without corners that miss by far, and how many those were.
+def drop_corners(fitted: Fit) -> list[View]:
+    """The views without corners that miss by far.
 
     One by one, the worst first, with the pose found anew each time: a wrong corner drags
     its neighbours' residuals along."""
     limit = CORNER_RATIO * max(FLOOR_PX, typical_px(np.concatenate(fitted.residuals)))
-    out, dropped = [], 0
-    for view, residual in zip(fitted.views, fitted.residuals, strict=True):
-        trimmed = view
+
+    def trimmed(view: View, residual: np.ndarray) -> View:
+        rest = view
         while (misses := np.linalg.norm(residual, axis=1)).max() > limit:
-            kept = np.arange(len(misses)) != misses.argmax()
-            arrays = {name: getattr(trimmed, name) for name in View.OF_CORNERS}
-            trimmed = replace(trimmed, **{k: a[kept] for k, a in arrays.items()})
-            if len(view.ids) - len(trimmed.ids) > MOST_CORNERS * len(view.ids):
-                trimmed = view
-                break
-            residual = pose_residual(trimmed, fitted.camera)
-        dropped += len(view.ids) - len(trimmed.ids)
-        out.append(trimmed)
-    return out, dropped
+            if len(rest.ids) <= (1 - MOST_CORNERS) * len(view.ids):
+                return view
+            rest = rest.without(int(misses.argmax()))
+            residual = pose_residual(rest, fitted.camera)
+        return rest
+
+    return [*map(trimmed, fitted.views, fitted.residuals)]
 
 
 def rejection_limit_px(view_rms_px: np.ndarray) -> float:
@@ -193,37 +174,16 @@ def sharpest_of_each(
 
 
 def most_varied(views: Sequence[View], keep: int) -> list[View]:
-    """At most `keep` sharp views that differ most in place, size and tilt, in their order
+    """At most `keep` sharp views whose corners lie farthest from each other's, in their order
     (farthest point selection).
     """
     if len(views) <= keep:
         return list(views)
     usual = float(np.median([v.sharpness for v in views]))
     sharp = [v for v in views if v.sharpness >= BLUR_FRACTION * usual]
-    if len(sharp) <= keep:
-        return sharp
-    features = np.array([_features(v) for v in sharp])
-    chosen = [int(np.argmax([v.sharpness * len(v.ids) for v in sharp]))]
-    nearest = np.linalg.norm(features - features[chosen[0]], axis=1)
-    while len(chosen) < keep:
-        chosen.append(int(np.argmax(nearest)))
-        nearest = np.minimum(
-            nearest, np.linalg.norm(features - features[chosen[-1]], axis=1)
-        )
-    return [sharp[i] for i in sorted(chosen)]
-
-
-def _features(view: View) -> np.ndarray:
-    """Place (2), size, and foreshortening (2) of a board, each about 1 over its range.
-
-    Foreshortening: the perspective terms of the homography times the board's size; 0 facing
-    the camera.
-    """
-    xy = view.board_m[:, :2] - view.board_m[:, :2].mean(0)
-    h = cv2.findHomography(xy / np.ptp(xy, axis=0).max(), view.pixels)[0]
-    h = np.eye(3) if h is None else h
-    # turned to the picture's axes, so that a board lying on its side with the same tilt is
-    # the same view
-    lean = 3 * complex(*h[2, :2]) * np.exp(1j * np.arctan2(h[1, 0], h[0, 0]))
-    width, extent = view.size[0], np.ptp(view.pixels, axis=0).max()
-    return np.array([*view.pixels.mean(0) / width, extent / width, lean.real, lean.imag])
+    chosen = [max(sharp, key=lambda v: v.sharpness * len(v.ids))]
+    nearest = np.full(len(sharp), np.inf)
+    while len(chosen) < min(keep, len(sharp)):
+        nearest = np.minimum(nearest, [_moved_px(v, chosen[-1]) for v in sharp])
+        chosen.append(sharp[nearest.argmax()])
+    return [v for v in sharp if v in chosen]

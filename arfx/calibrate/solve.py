@@ -31,35 +31,23 @@ FOLDS = 7
 # An improvement of the held-out error by less than this is not worth a parameter, however
 # certain it is.
 LEAST_GAIN = 0.005
+TILT_MORE = (
+    "take pictures with the board tilted by 20 to 45 degrees in different directions"
+)
 STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-9)
 
 
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-# What keeps OpenCV from estimating the coefficients from the first, second, … on.
-FIXED = {
-    0: cv2.CALIB_FIX_K1,
-    1: cv2.CALIB_FIX_K2,
-    2: cv2.CALIB_ZERO_TANGENT_DIST,
-    4: cv2.CALIB_FIX_K3,
-}
 
 
 class LensModel(NamedTuple):
-    """A nested lens model. free : how many of OpenCV's coefficients are estimated, from the
-    first on; the others are zero.
+    """free : how many of OpenCV's coefficients are estimated, from the first on; the others
+    are zero;  flags : of OpenCV's, which say so
     """
 
+    name: str
     free: int
-
-    @property
-    def name(self) -> str:
-        names = {0: "pinhole", len(COEFFICIENTS): "rational"}
-        return names.get(self.free, " ".join(COEFFICIENTS[: self.free]))
-
-    @property
-    def flags(self) -> int:
-        rational = cv2.CALIB_RATIONAL_MODEL * (self.free > 5)
-        return rational + sum(flag for i, flag in FIXED.items() if i >= self.free)
+    flags: int
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -70,29 +58,45 @@ class LensModel(NamedTuple):
         return jacobian[:, 6 : 10 + self.free]
 
 
-MODELS = tuple(map(LensModel, (0, 1, 2, 4, 5, 8)))  # each holds the one before it
+_RADIAL = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
+MODELS = (  # each holds the one before it
+    LensModel("pinhole", 0, cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | _RADIAL),
+    LensModel("k1", 1, cv2.CALIB_FIX_K2 | _RADIAL),
+    LensModel("k1 k2", 2, _RADIAL),
+    LensModel("k1 k2 p1 p2", 4, cv2.CALIB_FIX_K3),
+    LensModel("k1 k2 p1 p2 k3", 5, 0),
+    LensModel("rational", 8, cv2.CALIB_RATIONAL_MODEL),
+)
 FIRST_MODEL = MODELS[2]  # for telling good views from bad ones, before a model is chosen
 
 
 class Fit(NamedTuple):
     """A least squares solution.
 
-    views : the V views it rests on; rotations, translations : (V, 3) board to camera,
-    Rodrigues vectors and metres
-    residuals : per view (n, 2) px, found minus predicted; rms_px over both coordinates
-    together (as OpenCV counts)
+    views : the V views it rests on; rotations : (V, 3) board to camera, Rodrigues vectors
+    residuals : per view (n, 2) px, found minus predicted; derivatives : per view (2n, p) of
+    the predicted by the model's parameters, as far as no motion of the board can imitate
+    them: sum of J^T J is the normal matrix with all poses eliminated
     """
 
     model: LensModel
     camera: Camera
     views: tuple[View, ...]
     rotations: np.ndarray
-    translations: np.ndarray
-    residuals: tuple[np.ndarray, ...]
+    residuals: list[np.ndarray]
+    derivatives: list[np.ndarray]
 
     @property
     def rms_px(self) -> float:
+        """Over both coordinates together (as OpenCV counts)."""
         return rms(np.concatenate(self.residuals))
+
+    @property
+    def noise_px(self) -> float:
+        """Standard deviation of one coordinate of one corner, if errors are independent."""
+        points = sum(map(len, self.residuals))
+        free = 2 * points - len(self.model.parameters) - 6 * len(self.views)
+        return self.rms_px * float(np.sqrt(points / max(1, free)))
 
     @property
     def view_rms_px(self) -> np.ndarray:
@@ -106,16 +110,12 @@ class Fit(NamedTuple):
 
 class Uncertainty(NamedTuple):
     """covariance : (p, p) of `model.parameters`: that of independent errors, each parameter's
-    deviation enlarged to the jackknife's; independent, jackknife : (p,) standard deviations;
-    sigma_px : noise of one coordinate of one corner;
+    deviation enlarged to the jackknife's;
     condition : of the normal matrix with unit diagonal (poses eliminated); inf = something
     cannot be determined
     """
 
     covariance: np.ndarray
-    independent: np.ndarray
-    jackknife: np.ndarray
-    sigma_px: float
     condition: float
 
     @property
@@ -139,9 +139,9 @@ def fit(views: Sequence[View], model: LensModel) -> Fit:
             "at least 3 are needed, 15 are good",
         )
     boards = [v.board_m.astype(np.float32) for v in views]
-    pixels = [v.pixels.astype(np.float32).reshape(-1, 1, 2) for v in views]
+    pixels = [v.pixels.astype(np.float32) for v in views]
     try:
-        _, matrix, distortion, rvecs, tvecs = cv2.calibrateCamera(
+        _, matrix, distortion, rotations, translations = cv2.calibrateCamera(
             boards,
             pixels,
             views[0].size,
@@ -155,22 +155,26 @@ def fit(views: Sequence[View], model: LensModel) -> Fit:
     except (cv2.error, ArfxError):
         raise NothingToDoError(
             f"{len(views)} views of the board do not determine a camera",
-            "take pictures with the board tilted by 20 to 45 degrees in different"
-            " directions",
+            TILT_MORE,
         ) from None
-    r, t = np.reshape(rvecs, (-1, 3)), np.reshape(tvecs, (-1, 3))
-    residuals = tuple(
-        v.pixels - _projected(v, r[i], t[i], camera) for i, v in enumerate(views)
-    )
-    return Fit(model, camera, tuple(views), r, t, residuals)
+    residuals, derivatives = [], []
+    for view, rvec, tvec in zip(views, rotations, translations, strict=True):
+        residual, jacobian = _residual(view, rvec, tvec, camera)
+        residuals.append(residual)
+        own = model.by_parameters(jacobian)
+        derivatives.append(without_pose(own, jacobian[:, :6]))
+    turns = np.reshape(rotations, (-1, 3))
+    return Fit(model, camera, tuple(views), turns, residuals, derivatives)
 
 
-def _projected(
+def _residual(
     view: View, rvec: np.ndarray, tvec: np.ndarray, camera: Camera
-) -> np.ndarray:
-    return cv2.projectPoints(view.board_m, rvec, tvec, camera.matrix, camera.distortion)[
-        0
-    ].reshape(-1, 2)
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n, 2) px found minus predicted; (2n, …) derivatives of the predicted."""
+    predicted, jacobian = cv2.projectPoints(
+        view.board_m, rvec, tvec, camera.matrix, camera.distortion
+    )
+    return view.pixels - predicted[:, 0], jacobian
 
 
 def pose_residual(view: View, camera: Camera) -> np.ndarray:
@@ -185,7 +189,7 @@ def pose_residual(view: View, camera: Camera) -> np.ndarray:
         ok = False
     if not ok:
         return np.full(view.pixels.shape, np.inf)
-    out = view.pixels - _projected(view, rvec, tvec, camera)
+    out, _ = _residual(view, rvec, tvec, camera)
     return np.where(np.isfinite(out), out, np.inf)
 
 
@@ -198,52 +202,28 @@ def without_pose(by_intrinsics: np.ndarray, by_pose: np.ndarray) -> np.ndarray:
     return by_intrinsics - scaled @ np.linalg.lstsq(scaled, by_intrinsics, 1e-10)[0]
 
 
-def information(fitted: Fit) -> list[np.ndarray]:
-    """Per view, J (2n, p): sum of J^T J is the normal matrix of the intrinsics with all
-    poses eliminated.
-    """
-    out = []
-    for view, rvec, tvec in zip(
-        fitted.views, fitted.rotations, fitted.translations, strict=True
-    ):
-        j = cv2.projectPoints(
-            view.board_m, rvec, tvec, fitted.camera.matrix, fitted.camera.distortion
-        )[1]
-        out.append(without_pose(fitted.model.by_parameters(j), j[:, :6]))
-    return out
-
-
 def uncertainty(fitted: Fit) -> Uncertainty:
     """How far the intrinsics can be off, from the residuals and the geometry.
 
     See the header for the method.
     """
-    js = information(fitted)
-    p, n = len(fitted.model.parameters), len(js)
     # unit diagonal, so that pixels, and distortion coefficients of 1e-3, weigh alike in the
     # inverses
-    total = np.zeros((p, p)) + sum(j.T @ j for j in js)
-    scale = divide(1.0, np.sqrt(np.diag(total)), where_zero=1.0)
-    js = [j * scale for j in js]
-    normal = total * np.outer(scale, scale)
-    points = sum(len(r) for r in fitted.residuals)
-    degrees = max(1, 2 * points - p - 6 * n)
-    sigma = float(np.sqrt(sum((r**2).sum() for r in fitted.residuals) / degrees))
-    independent = sigma**2 * _inverse(normal)
-    steps = np.array(
-        [
-            _inverse(normal - j.T @ j) @ (j.T @ r.ravel())
-            for j, r in zip(js, fitted.residuals, strict=True)
-        ]
-    )
-    steps -= steps.mean(0)
-    a = np.sqrt(np.diag(independent))
-    b = np.sqrt((n - 1) / n * (steps**2).sum(0))
+    size = np.linalg.norm(np.concatenate(fitted.derivatives), axis=0)
+    scale = divide(1.0, size, where_zero=1.0)
+    js = [j * scale for j in fitted.derivatives]
+    normal = sum(j.T @ j for j in js) + np.zeros((len(scale), len(scale)))
+    independent = fitted.noise_px**2 * _inverse(normal)
+    steps = [
+        _inverse(normal - j.T @ j) @ (j.T @ r.ravel())
+        for j, r in zip(js, fitted.residuals, strict=True)
+    ]
+    jackknife = np.std(steps, axis=0) * np.sqrt(len(steps) - 1)
     # the correlations of independent errors: with few views the jackknife's are blind to some
     # directions
-    factor = scale * np.maximum(1.0, divide(b, a))
-    covariance = independent * np.outer(factor, factor)
-    return Uncertainty(covariance, a * scale, b * scale, sigma, condition(normal))
+    larger = np.maximum(1.0, divide(jackknife, np.sqrt(np.diag(independent))))
+    covariance = independent * np.outer(scale * larger, scale * larger)
+    return Uncertainty(covariance, condition(normal))
 
 
 def _inverse(normal: np.ndarray) -> np.ndarray:
@@ -280,8 +260,7 @@ def choose_model(views: Sequence[View]) -> tuple[Evidence, list[Evidence]]:
     if not usable:
         raise NothingToDoError(
             f"no lens model fits the {len(views)} views: {table[0].rejected}",
-            "take pictures with the board tilted by 20 to 45 degrees in different"
-            " directions",
+            TILT_MORE,
         )
     best = min(usable, key=lambda e: e.held_out_rms_px)
     # its mean squared held-out error is higher by no more than one standard error of the
@@ -297,32 +276,23 @@ def choose_model(views: Sequence[View]) -> tuple[Evidence, list[Evidence]]:
 def cross_validate(views: Sequence[View], model: LensModel) -> Evidence:
     """Fit a model to all views and predict each from the others."""
     held_out = np.full(len(views), np.inf)
+    folds = min(FOLDS, len(views))
     try:
         fitted = fit(views, model)
-        # a fold must leave at least 3 views
-        folds = min(FOLDS, len(views)) if len(views) > 3 else 0
-        for k in range(folds):
-            out = range(k, len(views), folds)
-            camera = fit([v for i, v in enumerate(views) if i not in out], model).camera
-            for i in out:
-                held_out[i] = rms(pose_residual(views[i], camera))
+        if folds == 3:  # none can be held out: residuals, and what fitting took away
+            held_out[:] = fitted.noise_px * np.sqrt(2)
+        for k in range(folds) if folds > 3 else ():
+            others = [v for i, v in enumerate(views) if i % folds != k]
+            camera = fit(others, model).camera
+            held_out[k::folds] = [rms(pose_residual(v, camera)) for v in views[k::folds]]
     except NothingToDoError as e:
         return Evidence(model, None, held_out, e.message)
-    # too few views to hold one out: residuals times sqrt(N / degrees of freedom), what
-    # fitting took away
-    if not folds:
-        numbers = 2 * sum(len(r) for r in fitted.residuals)
-        used = len(fitted.model.parameters) + 6 * len(fitted.views)
-        held_out = fitted.view_rms_px * float(
-            np.sqrt(divide(numbers, max(1, numbers - used)))
-        )
+    rejected = ""
     if not one_to_one(fitted.camera):
-        return Evidence(model, fitted, held_out, "its distortion folds the picture over")
-    if not np.isfinite(held_out).all():
-        return Evidence(
-            model, fitted, held_out, "a view that it was not fitted to has no pose"
-        )
-    return Evidence(model, fitted, held_out)
+        rejected = "its distortion folds the picture over"
+    elif not np.isfinite(held_out).all():
+        rejected = "a view that it was not fitted to has no pose"
+    return Evidence(model, fitted, held_out, rejected)
 
 
 def one_to_one(camera: Camera) -> bool:
@@ -334,7 +304,8 @@ def one_to_one(camera: Camera) -> bool:
 
 def grid_pixels(camera: Camera, across: int, down: int) -> np.ndarray:
     """(n, 2) pixels spread evenly over the picture, borders included."""
-    x, y = np.meshgrid(
-        np.linspace(0, camera.width - 1, across), np.linspace(0, camera.height - 1, down)
+    x, y = (
+        np.linspace(0, camera.width - 1, across),
+        np.linspace(0, camera.height - 1, down),
     )
-    return np.stack([x.ravel(), y.ravel()], -1)
+    return np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)

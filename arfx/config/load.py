@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import os
+import tomllib
 from collections.abc import Mapping, Sequence
 from functools import cache, lru_cache, reduce
 from pathlib import Path
@@ -15,13 +16,14 @@ from typing import Any, NamedTuple
 
 from pydantic import Field, ValidationError, create_model
 
-from arfx.config.gone import GONE
 from arfx.config.sections import JobConfig, kinds, section_models
 from arfx.core.marker import PatternSpec
 from arfx.core.opener import parse_toml, read_text
 from arfx.core.toml_text import KeyPath, line_of
 from arfx.errors import ConfigError, InputError
 
+# section -> setting that is gone -> what to write instead
+GONE = tomllib.loads(Path(__file__).with_name("gone.toml").read_text("utf-8"))
 Parameters = Mapping[str, Mapping[str, Any]]
 _PRESETS = (
     Path(__file__).parent / "presets",
@@ -84,23 +86,23 @@ def load(
         problems.append(file.located(message, path, hint))
 
     def unknown(path: KeyPath) -> None:
-        name, key = path[0], path[-1]
+        name, key = str(path[0]), path[-1]
         if name in broken:
-            return problem(path, broken[str(name)].message, broken[str(name)].hint)
+            return problem(path, broken[name].message, broken[name].hint)
         if len(path) == 1:
-            known = suggestion(str(name), model.model_fields)
+            known = suggestion(name, model.model_fields)
             return problem(path, f"there is no section or stage {name!r}", known)
-        formulas = parameters.get(str(name), {})
-        owner = next((f for f, kind in formulas.items() if key in _fields(kind)), None)
-        if owner is not None and path not in GONE:
+        by_formula = sections[name]
+        gone = GONE.get(name, {}).get(key) if len(path) == 2 else None
+        owner = next((f for f, kind in by_formula.items() if key in _fields(kind)), None)
+        if owner is not None and gone is None:
             message = f'{name}.{key} belongs to formula = "{owner}"'
-            return problem(path, message, f'{name}.formula is "{chosen[str(name)]}"')
-        kind = formulas[chosen[str(name)]] if formulas else section_models()[str(name)]
-        what = "section" if name in (*section_models(), "analyse") else "stage"
-        hint = GONE.get(path) or suggestion(str(key), _fields(kind))
-        return problem(path, f"{what} {name!r} has no setting {key!r}", hint)
+            return problem(path, message, f'{name}.formula is "{chosen[name]}"')
+        kind = by_formula[chosen.get(name, "")]
+        hint = gone or suggestion(str(key), _fields(kind))
+        return problem(path, f"[{name}] has no setting {key!r}", hint)
 
-    chosen: dict[str, str] = {}
+    sections, chosen = all_sections(parameters), dict[str, str]()
     for name, formulas in parameters.items():
         table, usual = merged.get(name), next(iter(formulas))
         formula = table.get("formula", usual) if isinstance(table, dict) else usual
@@ -177,27 +179,30 @@ def locate_paths(
     document: Mapping[str, Any], folder: Path, parameters: Parameters
 ) -> None:
     """Paths in a job file are relative to its folder: make them so from here."""
+    sections = all_sections(parameters)
     for section, tables in document.items():
-        models = parameters.get(section, {}).values() or [section_models().get(section)]
-        keys = {
-            k
-            for model in models
-            for k, field in _fields(model).items()
-            if _holds_path(field)
-        }
+        keys = [
+            key
+            for model in sections.get(section, {}).values()
+            for key, field in _fields(model).items()
+            if any(kind in (Path, PatternSpec) for kind in kinds(field.annotation))
+        ]
         for table in tables if isinstance(tables, list) else [tables]:
             for key in keys if isinstance(table, dict) else ():
                 if isinstance(table.get(key), str):
                     table[key] = str(folder / table[key])
 
 
+def all_sections(parameters: Parameters) -> dict[str, Mapping[str, Any]]:
+    """Every section of a job file, as `parameters`; those without a formula's name have one."""
+    return {name: {"": model} for name, model in section_models().items()} | {
+        **parameters
+    }
+
+
 def _fields(kind: Any) -> dict[str, Any]:
     """Of a model of settings, by name."""
     return getattr(kind, "__pydantic_fields__", {})
-
-
-def _holds_path(field: Any) -> bool:
-    return any(kind in (Path, PatternSpec) for kind in kinds(field.annotation))
 
 
 def suggestion(name: str, known: Any) -> str:

@@ -17,6 +17,7 @@ from arfx.config.given import option_given, parse_value
 from arfx.config.load import (
     JobFile,
     Parameters,
+    all_sections,
     find_job_file,
     locate_paths,
     read_job_file,
@@ -45,12 +46,9 @@ def read_manifest(path: Path, parameters: Parameters) -> list[list[JobFile]]:
         except ConfigError as e:
             problems.append(e.message)
     if not raw:
-        what = (
-            "[[job]] table" if path.suffix.lower() == ".toml" else "row below its heads"
-        )
         problems.append(
-            f"manifest {path} holds no {what}\nhelp: each names at least a clip; a job file"
-            " is given with --config"
+            f"manifest {path} holds no [[job]] table, or no row below its heads\nhelp: each"
+            " names at least a clip; a job file is given with --config"
         )
     if problems:
         raise ConfigError(listed(problems))
@@ -60,12 +58,9 @@ def read_manifest(path: Path, parameters: Parameters) -> list[list[JobFile]]:
 def listed(problems: Sequence[str]) -> str:
     """The first of them, once each, and how many more there are."""
     different = list(dict.fromkeys(problems))
-    more = (
-        [f"… and {len(different) - _MOST_PROBLEMS} more"]
-        if len(different) > _MOST_PROBLEMS
-        else []
-    )
-    return "\n\n".join([*different[:_MOST_PROBLEMS], *more])
+    more = len(different) - _MOST_PROBLEMS
+    rest = [f"… and {more} more"] * (more > 0)
+    return "\n\n".join([*different[:_MOST_PROBLEMS], *rest])
 
 
 def _toml(path: Path, parameters: Parameters) -> tuple[list[JobFile], list[JobFile]]:
@@ -86,27 +81,25 @@ def _csv(path: Path) -> tuple[list[JobFile], list[JobFile]]:
     reader = csv.reader(
         io.StringIO(text, newline=""), delimiter=max(",;\t", key=first.count), strict=True
     )
-    file, lines = JobFile(path, text, {}, line=1), []
+    file, heads, rows = JobFile(path, text, {}, line=1), list[str](), list[JobFile]()
     try:
-        for cells in reader:
-            lines.append((file, [cell.strip() for cell in cells]))
+        for row in reader:
+            cells = [cell.strip() for cell in row]
+            if len(cells) > len(heads) > 0 and any(cells):
+                message = f"{len(cells)} cells under {len(heads)} heads"
+                hint = "quote a cell that holds a comma"
+                raise ConfigError(file.located(message, (), hint))
+            if heads and any(cells):
+                table = {h: cell for h, cell in zip(heads, cells, strict=False) if cell}
+                rows.append(file._replace(document=table))
+            elif any(cells):
+                heads = cells
+                if twice := [h for h in heads if heads.count(h) > 1]:
+                    message = f"column {twice[0]!r} is there twice"
+                    raise ConfigError(file.located(message, ()))
             file = file._replace(line=reader.line_num + 1)
     except csv.Error as e:
         raise ConfigError(file.located(f"not valid CSV: {e}", ())) from None
-    heads: list[str] = []
-    rows: list[JobFile] = []
-    for row, cells in lines:
-        if not any(cells):
-            continue
-        if len(cells) > len(heads) > 0:
-            message = f"{len(cells)} cells under {len(heads)} heads"
-            raise ConfigError(row.located(message, (), "quote a cell that holds a comma"))
-        if heads:
-            table = {h: cell for h, cell in zip(heads, cells, strict=False) if cell}
-            rows.append(row._replace(document=table))
-        elif twice := [h for h in cells if cells.count(h) > 1]:
-            raise ConfigError(row.located(f"column {twice[0]!r} is there twice", ()))
-        heads = heads or cells
     return [], rows
 
 
@@ -117,7 +110,7 @@ def _job_files(
 
     Raises ConfigError with file, line and key.
     """
-    sections = {s.section for s in settings()} | parameters.keys()
+    sections = all_sections(parameters)
     named = row.document.pop("config", [])
     named = [named] if isinstance(named, str) else named
     if not isinstance(named, list) or not all(isinstance(name, str) for name in named):

@@ -35,7 +35,7 @@ def mirrored_room(clip: Clip, shot: Shot, picture: np.ndarray) -> np.ndarray:
         0,
     ]  # it throws its shadow
     sky = np.tile(
-        np.asarray(world.ambient, float), (2, 4, 1)
+        np.asarray(world.room.ambient, float), (2, 4, 1)
     )  # whatever light of the room comes from no lamp
     room = world.at(float(world.frame_times_s[at]))
     room = room._replace(spheres=np.vstack([room.spheres, [ball]]), sky=sky)

@@ -26,7 +26,7 @@ from arfx.errors import ConfigError, RenderError
 from arfx.media.cameras import save_camera
 from arfx.media.images import write_png
 from arfx.synth.description import Marker, SceneFile
-from arfx.synth.encode import ClipFile, DepthFile
+from arfx.synth.encode import ClipFile, VideoFile, measured_steps
 from arfx.synth.picture import Picture, expose, gain_at
 from arfx.synth.rays import LIFT_M
 from arfx.synth.shapes import write_model
@@ -43,10 +43,11 @@ from arfx.synth.truth import (
 )
 from arfx.synth.world import World, marker_points
 
+# what a clip's folder holds beside the clip and its depth
 _MADE = re.compile(
-    r"camera\.yaml|model\.glb|job\.toml|truth\.jsonl|truth/(?:depth|mask|flow)/\d{6,}\.png"
+    r"camera\.yaml|model\.glb|job\.toml|truth\.jsonl"
+    r"|truth(/(depth|mask|flow)(/\d{6,}\.png)?)?"
 )
-_MADE_FOLDERS = re.compile(r"truth(?:/(?:depth|mask|flow))?")
 Progress = Callable[[str, int, int | None], None]
 
 
@@ -106,23 +107,14 @@ def check_replaceable(folder: Path, overwrite: bool = True) -> None:
     if folder.is_symlink() or not folder.is_dir():
         raise ConfigError(f"{folder} is not a folder", "name another with -o")
     try:
+        (folder / "truth.jsonl").stat()
         job = tomllib.loads((folder / "job.toml").read_text(encoding="utf-8"))["input"]
-        own = (
-            {job["clip"], job.get("depth")}
-            if (folder / "truth.jsonl").is_file()
-            else set()
-        )
+        own = {job["clip"], job.get("depth")}
     except (OSError, ValueError, KeyError, TypeError):
         own = set()
     for path in folder.rglob("*"):
         name = path.relative_to(folder).as_posix()
-        if not (
-            own
-            and (
-                name in own
-                or (_MADE if path.is_file() else _MADE_FOLDERS).fullmatch(name)
-            )
-        ):
+        if not own or (name not in own and not _MADE.fullmatch(name)):
             raise ConfigError(
                 f"{folder} holds {name!r}, it was not created by arfx synth",
                 "name another with -o",
@@ -145,11 +137,10 @@ def _fill(
         clip = files.enter_context(closing(ClipFile(folder / scene.clip.file, scene)))
         maps = None
         if scene.depth.file:
-            maps = files.enter_context(
-                closing(DepthFile(folder / scene.depth.file, scene))
-            )
-        for n in range(scene.frames):
-            time_s = float(world.frame_times_s[n])
+            path, size = folder / scene.depth.file, (scene.clip.width, scene.clip.height)
+            file = VideoFile(path, scene, "ffv1", size, "gray16le")
+            maps = files.enter_context(closing(file))
+        for n, time_s in enumerate(world.frame_times_s.tolist()):
             clip.write(expose(scene, picture.radiance(n), n, time_s), time_s)
             frames.append(frame_truth(world, n))
             progress("synth", n + 1, scene.frames)
@@ -157,7 +148,7 @@ def _fill(
                 continue
             depth, owner = picture.surfaces(n)
             if maps is not None:
-                maps.write(depth, n, time_s)
+                maps.put(measured_steps(scene, depth, n), time_s)
             for kind in kinds:
                 path = folder / "truth" / kind / f"{n:06d}.png"
                 if kind == "flow":
@@ -191,18 +182,15 @@ def frame_truth(world: World, n: int) -> FrameTruth:
         corners = world.camera.project(camera_from_marker.apply(placed.spec.corners_m))
         points = camera_from_marker.apply(marker_points(placed))
         pixels = world.camera.project(points)
-        inside = (pixels >= -0.5) & (
-            pixels < [world.camera.width - 0.5, world.camera.height - 0.5]
-        )
-        facing = float(
-            camera_from_marker.rotation[:, 2]
-            @ -normalise(camera_from_marker.translation_m)
-        )
+        size = world.camera.width, world.camera.height
+        inside = ((pixels >= -0.5) & (pixels + 0.5 < size)).all(-1)
+        ahead = normalise(camera_from_marker.translation_m)
+        facing = float(-camera_from_marker.rotation[:, 2] @ ahead)
         depth, _ = surfaces(
             divide(points[None, :, :2], points[:, 2:]), room_from_camera, room
         )
         before = LIFT_M * points[:, 2] / np.linalg.norm(points, axis=1)
-        seen = inside.all(-1) & (depth[0] >= points[:, 2] - before) & (facing > 0)
+        seen = inside & (depth[0] >= points[:, 2] - before) & (facing > 0)
         side = float(np.linalg.norm(corners - np.roll(corners, 1, 0), axis=1).mean())
         room_from_marker[placed.spec.key] = pose
         markers[placed.spec.key] = MarkerTruth(
@@ -229,7 +217,7 @@ def frame_truth(world: World, n: int) -> FrameTruth:
         markers,
         gain_at(scene, time_s),
         scene.exposure.bias,
-        world.ambient.tolist(),
+        world.room.ambient.tolist(),
         lights,
     )
 

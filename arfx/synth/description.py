@@ -13,9 +13,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     ValidationError,
     model_validator,
@@ -24,23 +22,15 @@ from pydantic import (
 from arfx.core.colour import Transfer
 from arfx.core.marker import MarkerSpec
 from arfx.core.opener import parse_toml, read_text
+from arfx.core.settings import Settings
 from arfx.core.toml_text import line_of
 from arfx.core.units import length_m
-from arfx.errors import ArfxError, ConfigError, on_one_line
+from arfx.errors import ConfigError, on_one_line
 
 
 def _read(parse: Callable[[str], Any]) -> BeforeValidator:
-    """Texts through `parse`, whose ArfxError becomes one of pydantic's; other values as
-    they are.
-    """
-
-    def read(value: Any) -> Any:
-        try:
-            return parse(value) if isinstance(value, str) else value
-        except ArfxError as e:
-            raise ValueError(on_one_line(str(e))) from None
-
-    return BeforeValidator(read)
+    """Texts through `parse`, which raises ConfigError; other values as they are."""
+    return BeforeValidator(lambda v: parse(v) if isinstance(v, str) else v)
 
 
 DEMO_SCENE = Path(__file__).with_name(
@@ -60,13 +50,7 @@ Colour = tuple[float, float, float]
 TransferName = Annotated[str, _read(lambda text: Transfer(text).name)]
 
 
-class Part(BaseModel):
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", arbitrary_types_allowed=True, allow_inf_nan=False
-    )
-
-
-class Clip(Part):
+class Clip(Settings):
     # .mp4 = H.264, .mkv = lossless FFV1
     file: str = Field(default="clip.mp4", pattern=r"^[\w.-]+\.(mp4|mkv)$")
     width: Side = 640
@@ -84,7 +68,7 @@ class Clip(Part):
     tone_hz: Positive | None = None
 
 
-class Key(Part):
+class Key(Settings):
     """One key frame of a motion; between keys position and rotation follow a smooth
     (Catmull-Rom) curve.
     """
@@ -108,7 +92,7 @@ def _rising(keys: tuple[Key, ...]) -> tuple[Key, ...]:
 Keys = Annotated[tuple[Key, ...], AfterValidator(_rising)]
 
 
-class Motion(Part):
+class Motion(Settings):
     """How an object moves; added to its pose.
 
     turn and sway act in the object's own axes, keys replace the pose.
@@ -130,7 +114,7 @@ class Motion(Part):
     keys: Keys = ()
 
 
-class CameraPath(Part):
+class CameraPath(Settings):
     """How the camera moves in one shot.
 
     It looks at `target_m` with the room's z up, unless keys turn it.
@@ -152,14 +136,14 @@ class CameraPath(Part):
     keys: Keys = ()
 
 
-class Shot(Part):
+class Shot(Settings):
     """A cut-free stretch. Its path's time runs from 0 at its first frame."""
 
     frames: int = Field(default=48, ge=1, le=100_000)
     path: CameraPath = CameraPath()
 
 
-class Lens(Part):
+class Lens(Settings):
     # horizontal field of view of the undistorted picture
     fov_deg: float = Field(default=60.0, gt=5, lt=160)
     centre_offset_px: tuple[float, float] = (0.0, 0.0)
@@ -175,7 +159,7 @@ class Lens(Part):
     shutter_s: NonNegative = 0.0
 
 
-class Texture(Part):
+class Texture(Settings):
     kind: Literal["plain", "wood", "carpet", "noise", "checker", "poster", "image"] = (
         "plain"
     )
@@ -188,7 +172,7 @@ class Texture(Part):
     file: Path | None = None
 
 
-class SceneObject(Part):
+class SceneObject(Settings):
     name: str = ""
     position_m: Vector = (0.0, 0.0, 0.0)
     # about x, then y, then z (fixed axes)
@@ -245,7 +229,7 @@ class Marker(SceneObject):
         return self.spec.key
 
 
-class Lamp(Part):
+class Lamp(Settings):
     """Directional light. rgb: radiance of a white diffuse surface that faces it."""
 
     # from the room's x towards y
@@ -262,7 +246,7 @@ class Lamp(Part):
     brightness: tuple[tuple[float, float], ...] = ()
 
 
-class Light(Part):
+class Light(Settings):
     # radiance of a white surface without the lamps
     ambient_rgb: Colour = (0.3, 0.3, 0.3)
     lamps: tuple[Lamp, ...] = (Lamp(),)
@@ -274,7 +258,7 @@ class Light(Part):
     environment_lights: int = Field(default=48, ge=1, le=1024)
 
 
-class Exposure(Part):
+class Exposure(Settings):
     """Sensor value = gain × radiance + bias, linear light, then clipped to 0..1."""
 
     gain: Positive = 1.0
@@ -284,14 +268,14 @@ class Exposure(Part):
     drift_period_s: Positive = 2.0
 
 
-class Noise(Part):
+class Noise(Settings):
     """Variance = read² + shot × signal, linear light."""
 
     read: NonNegative = 0.002
     shot: NonNegative = 0.00005
 
 
-class Hidden(Part):
+class Hidden(Settings):
     """What the job does not know: each entry breaks an assumption of the models that are tested."""
 
     # curve that the camera really applies
@@ -308,7 +292,7 @@ class Hidden(Part):
     worn_ink: Share | None = None
 
 
-class DepthInput(Part):
+class DepthInput(Settings):
     """What the job is given of the scene's depth (`[input] depth`), as a depth camera
     measures it.
     """
@@ -323,12 +307,12 @@ class DepthInput(Part):
     edge_px: int = Field(default=0, ge=0, le=16)
 
 
-class ModelPart(Part):
+class ModelPart(Settings):
     shape: str = "robot"
     fit: str = "12cm"
 
 
-class Job(Part):
+class Job(Settings):
     # effects, as in a job file
     stages: tuple[str, ...] | Literal["auto"] = "auto"
     # further sections of the job file
@@ -337,7 +321,7 @@ class Job(Part):
     codec: str = "h264"
 
 
-class SceneFile(Part):
+class SceneFile(Settings):
     """A whole scene. See the classes of this module for every key."""
 
     description: str = ""
@@ -404,7 +388,7 @@ def parse_scene(text: str, where: str = "scene.toml") -> SceneFile:
         for problem in e.errors():
             line = line_of(text, problem["loc"])
             key = ".".join(map(str, problem["loc"])) or "scene"
-            message = problem["msg"].removeprefix("Value error, ")
+            message = on_one_line(problem["msg"].removeprefix("Value error, "))
             lines.append(f"{where}{f':{line}' if line else ''}: {key}: {message}")
         raise ConfigError(
             "\n".join(lines), "arfx/synth/description.py documents every key"

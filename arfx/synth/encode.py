@@ -15,7 +15,6 @@ import cv2
 import numpy as np
 
 from arfx.core.colour import yuv_from_rgb
-from arfx.errors import RenderError
 from arfx.media.codecs import create_container
 from arfx.synth.description import SceneFile
 from arfx.synth.truth import DEPTH_UNIT_M
@@ -25,7 +24,7 @@ _STEP = 0.05  # of the distance: surfaces that are farther apart have an edge be
 _HOLE_PX = 4.0  # sigma of the noise whose highest parts are holes
 
 
-class _Video:
+class VideoFile:
     """A file with one video stream of exact times, whole when it is closed."""
 
     def __init__(
@@ -37,15 +36,8 @@ class _Video:
         pix_fmt: str,
     ) -> None:
         self._scene = scene
-        try:
-            self._out = create_container(
-                path,
-                options={"movie_timescale": str(CLOCK_HZ)}
-                if path.suffix == ".mp4"
-                else {},
-            )
-        except OSError as e:
-            raise RenderError(f"cannot write {path}: {e.strerror or e}") from None
+        exact = {"movie_timescale": str(CLOCK_HZ)} if path.suffix == ".mp4" else {}
+        self._out = create_container(path, options=exact)
         stream = self._out.add_stream(
             codec, rate=Fraction(scene.clip.fps).limit_denominator(1001)
         )
@@ -54,7 +46,11 @@ class _Video:
         stream.time_base = stream.codec_context.time_base = Fraction(1, CLOCK_HZ)
         self._stream = stream
 
-    def _put(self, frame: av.VideoFrame, time_s: float) -> None:
+    def put(self, samples: np.ndarray, time_s: float) -> None:
+        """samples : as `av.VideoFrame.from_ndarray` takes them;  time_s : as it is to be shown"""
+        frame = av.VideoFrame.from_ndarray(samples, format=self._stream.pix_fmt)
+        if self._stream.pix_fmt.startswith("yuv"):
+            _tag(frame)
         frame.pts, frame.time_base = round(time_s * CLOCK_HZ), Fraction(1, CLOCK_HZ)
         self._out.mux(self._stream.encode(frame))
 
@@ -63,7 +59,7 @@ class _Video:
         self._out.close()
 
 
-class ClipFile(_Video):
+class ClipFile(VideoFile):
     """A clip being written."""
 
     def __init__(self, path: Path, scene: SceneFile) -> None:
@@ -91,40 +87,29 @@ class ClipFile(_Video):
             context.thread_count = 1  # another number of threads gives another stream
         if clip.rotation_deg:
             self._stream.set_display_rotation(clip.rotation_deg)
-        self._tone: Any = (
-            self._out.add_stream("aac" if not lossless else "flac", rate=48_000)
-            if clip.tone_hz
-            else None
-        )
+        self._tone: Any = None
+        if clip.tone_hz:
+            sound = "flac" if lossless else "aac"
+            self._tone = self._out.add_stream(sound, rate=48_000)
 
     def write(self, coded: np.ndarray, time_s: float) -> None:
         """coded (h, w, 3) float R'G'B' 0..1, upright;  time_s from the clip's first frame."""
-        if self._scene.clip.rotation_deg:
-            coded = np.ascontiguousarray(
-                np.rot90(coded, -self._scene.clip.rotation_deg // 90)
-            )
-        self._put(self._frame(coded), self._scene.clip.start_s + time_s)
+        turned = np.rot90(coded, -self._scene.clip.rotation_deg // 90)
+        coded = np.ascontiguousarray(turned)
+        self.put(self._samples(coded), self._scene.clip.start_s + time_s)
 
-    def _frame(self, coded: np.ndarray) -> av.VideoFrame:
+    def _samples(self, coded: np.ndarray) -> np.ndarray:
         yuv = cv2.transform(coded, yuv_from_rgb("bt709").astype(np.float32))
         luma, chroma = 16 + 219 * yuv[..., 0], 128 + 224 * yuv[..., 1:]
-        kind, shape = self._stream.pix_fmt, (3, *luma.shape)
-        if kind == "yuv420p":
-            across = np.array([0.25, 0.5, 0.25], np.float32)
-            wide = cv2.sepFilter2D(
-                chroma,
-                -1,
-                across,
-                np.ones(1, np.float32),
-                borderType=cv2.BORDER_REPLICATE,
-            )[:, ::2]
+        shape: tuple[int, ...] = 3, *luma.shape
+        if self._stream.pix_fmt == "yuv420p":
+            across = np.array([[0.25, 0.5, 0.25]])
+            wide = cv2.filter2D(chroma, -1, across, borderType=cv2.BORDER_REPLICATE)
+            wide = wide[:, ::2]
             chroma = (wide[::2] + wide[1::2]) / 2
             shape = luma.shape[0] * 3 // 2, luma.shape[1]
         planes = np.concatenate([p.ravel() for p in (luma, *np.moveaxis(chroma, -1, 0))])
-        samples = np.clip(np.rint(planes), 0, 255).astype(np.uint8).reshape(shape)
-        frame = av.VideoFrame.from_ndarray(samples, format=kind)
-        _tag(frame)
-        return frame
+        return np.clip(np.rint(planes), 0, 255).astype(np.uint8).reshape(shape)
 
     def close(self) -> None:
         if self._tone is not None:
@@ -167,21 +152,3 @@ def measured_steps(scene: SceneFile, depth_m: np.ndarray, frame: int) -> np.ndar
         rough = cv2.GaussianBlur(rng.standard_normal(depth_m.shape), (0, 0), _HOLE_PX)
         good &= rough < np.quantile(rough, 1 - asked.holes)
     return np.where(good, steps, 0).astype(np.uint16)
-
-
-class DepthFile(_Video):
-    """What a depth camera would have measured, as FFV1 gray16 with the clip's times."""
-
-    def __init__(self, path: Path, scene: SceneFile) -> None:
-        super().__init__(
-            path, scene, "ffv1", (scene.clip.width, scene.clip.height), "gray16le"
-        )
-
-    def write(self, depth_m: np.ndarray, frame: int, time_s: float) -> None:
-        """depth_m (h, w) true metres, 0 = nothing;  time_s from the clip's first frame."""
-        self._put(
-            av.VideoFrame.from_ndarray(
-                measured_steps(self._scene, depth_m, frame), format="gray16le"
-            ),
-            time_s,
-        )

@@ -5,7 +5,7 @@ Samples over pixel, shutter and lens are averaged in linear light."""
 
 from __future__ import annotations
 
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 
 import cv2
 import numpy as np
@@ -20,8 +20,7 @@ from arfx.synth.world import World
 
 # a rolling shutter moves the scene once per band: under 2 px of motion in hand-held footage
 _BAND_ROWS = 24
-_RAYS = 8192  # in one array: some megabytes of numbers
-_KEEP_BYTES = 400e6  # rays kept from frame to frame
+_KEEP_BYTES = 400_000_000  # rays kept from frame to frame
 
 
 class Picture:
@@ -38,20 +37,15 @@ class Picture:
             self.side = max(
                 self.side, 4
             )  # fewer than 16 moments or lens points leave separate copies of an edge
-        self._rays: dict[tuple[float, float], np.ndarray] = {}
+        kept = _KEEP_BYTES // (16 * world.camera.width * world.camera.height)
+        self.rays = lru_cache(kept)(self._rays)
 
-    def rays(self, dx: float, dy: float) -> np.ndarray:
+    def _rays(self, dx: float, dy: float) -> np.ndarray:
         """(h, w, 2) camera directions at pixel centres shifted by (dx, dy) px; NaN where
         the lens maps nothing.
         """
-        if (dx, dy) in self._rays:
-            return self._rays[dx, dy]
-        camera = self.world.camera
-        y, x = np.mgrid[0 : camera.height, 0 : camera.width].astype(float)
-        made = camera.normalised(np.stack([x + dx, y + dy], -1))
-        if made.nbytes * (len(self._rays) + 1) < _KEEP_BYTES:
-            self._rays[dx, dy] = made
-        return made
+        y, x = np.indices((self.world.camera.height, self.world.camera.width), float)
+        return self.world.camera.normalised(np.dstack([x + dx, y + dy]))
 
     def radiance(self, frame: int) -> np.ndarray:
         """(h, w, 3) float64 linear radiance of a frame, before exposure.
@@ -64,9 +58,8 @@ class Picture:
             light, number = self._sample(frame, 0.0, (0.0, 0.0), chosen, 1.0, seed)
             out, met = light.reshape(out.shape), number.reshape(shape)
             box = np.ones((3, 3), np.uint8)
-            chosen = ((met == 0) | (cv2.erode(met, box) != cv2.dilate(met, box))) & (
-                n > 1
-            )
+            differs = cv2.morphologyEx(met, cv2.MORPH_GRADIENT, box) > 0
+            chosen = ((met == 0) | differs) & (n > 1)
             out[chosen] = 0
         # which moment of the shutter a position gets
         order = np.random.default_rng([scene.seed, 11]).permutation(n * n)
@@ -77,12 +70,8 @@ class Picture:
                 self._sample(frame, late, place, chosen, 1 / n, seed + k)[0] / n**2
             )
         if (sigma := scene.lens.softness_px) > 0:
-            side = 2 * int(np.ceil(4 * sigma)) + 1
-            return np.asarray(
-                cv2.GaussianBlur(
-                    out, (side, side), sigma, borderType=cv2.BORDER_REPLICATE
-                )
-            )
+            size = (2 * int(np.ceil(4 * sigma)) + 1,) * 2
+            cv2.GaussianBlur(out, size, sigma, out, borderType=cv2.BORDER_REPLICATE)
         return out
 
     def _sample(
@@ -98,34 +87,33 @@ class Picture:
         own time, for a footprint of that width in pixels; as `tracer.radiance` gives them."""
         pixels, rays = np.argwhere(chosen), self.rays(*place)
         rows, roll = len(chosen), self.world.scene.hidden.rolling_shutter_s
-        cuts = np.arange(_RAYS, len(pixels), _RAYS)
-        if roll:
-            cuts = np.searchsorted(pixels[:, 0], range(_BAND_ROWS, rows, _BAND_ROWS))
-        seen = cache(partial(self._seen, frame))
+        cuts = np.searchsorted(pixels[:, 0], range(_BAND_ROWS, rows, _BAND_ROWS))
+        seen, spans = cache(partial(self._seen, frame)), footprint * _spans(rays)
 
         def one(part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            y, x = part.T
-            first = y[0] // _BAND_ROWS * _BAND_ROWS
+            at = tuple(part.T)
+            first = part[0, 0] // _BAND_ROWS * _BAND_ROWS
             middle = (first + min(first + _BAND_ROWS, rows)) / 2
             room, pose = seen(late_s + (roll and roll * (middle / rows - 0.5)))
-            return radiance(self._through_lens(rays, y, x, pose, footprint, seed), room)
+            numbers = np.ravel_multi_index(at, chosen.shape)
+            return radiance(
+                self._through_lens(rays[at], spans[at], numbers, pose, seed), room
+            )
 
         parts = filter(len, np.split(pixels, cuts))
-        light, numbers = zip(*parallel_map(one, parts), strict=True)
-        return np.concatenate(light), np.concatenate(numbers)
+        light, met = zip(*parallel_map(one, parts), strict=True)
+        return np.concatenate(light), np.concatenate(met)
 
     def _through_lens(
         self,
-        rays: np.ndarray,
-        y: np.ndarray,
-        x: np.ndarray,
+        ahead: np.ndarray,
+        spans: np.ndarray,
+        number: np.ndarray,
         pose: Pose,
-        footprint: float,
         seed: int,
     ) -> Rays:
-        """In the room, through each pixel (n,) and a random point of the aperture."""
-        lens, number = self.world.scene.lens, y * rays.shape[1] + x
-        ahead, starts = rays[y, x], np.zeros((len(y), 3))
+        """In the room, through pixels (n,) of these numbers and a random point of the aperture."""
+        lens, starts = self.world.scene.lens, np.zeros((len(number), 3))
         if lens.aperture_m > 0:
             radius = 0.5 * lens.aperture_m * np.sqrt(_noise(seed, 2 * number))
             angle = 2 * np.pi * _noise(seed, 2 * number + 1)
@@ -135,7 +123,7 @@ class Picture:
         return Rays(
             starts @ turn + pose.translation_m,
             ahead @ turn[:2] + turn[2],
-            footprint * _footprints(rays, y, x) @ turn[:2],
+            spans @ turn[:2],
             2 * np.pi * _noise(seed + 7, number),
         )
 
@@ -155,44 +143,32 @@ class Picture:
         """(h, w, 2) float64 motion of each pixel's surface point to the next frame, px.
         NaN where there is nothing, at the last frame, across a cut, and where the point
         leaves the lens's field."""
-        out = np.full((*depth.shape, 2), np.nan)
-        world = self.world
-        if (
-            frame + 1 >= world.scene.frames
-            or world.shots[frame + 1] != world.shots[frame]
-        ):
+        out, world = np.full((*depth.shape, 2), np.nan), self.world
+        if world.shots[frame] not in world.shots[frame + 1 : frame + 2]:
             return out
-        t0, t1 = (float(world.frame_times_s[i]) for i in (frame, frame + 1))
+        t0, t1 = world.frame_times_s[[frame, frame + 1]].tolist()
         rays = self.rays(0.0, 0.0)
-        points = (
-            np.concatenate([rays, np.ones_like(rays[..., :1])], -1) * depth[..., None]
-        )
+        points = np.dstack([rays, np.ones(depth.shape)]) * depth[..., None]
         room_from_camera = world.camera_at(frame, t0).inverse()
         next_camera = world.camera_at(frame + 1, t1)
-        before, after = world.poses(t0), world.poses(t1)
-        grid = np.moveaxis(np.indices(depth.shape)[::-1], 0, -1)
-        for number in np.unique(owner[owner > 0]):
+        poses = zip(world.poses(t0), world.poses(t1), strict=True)
+        y, x = np.indices(depth.shape)
+        grid = np.dstack([x, y])
+        for number, (before, after) in enumerate(poses, 1):
             here = owner == number
-            move = (
-                next_camera
-                @ after[number - 1]
-                @ before[number - 1].inverse()
-                @ room_from_camera
-            )
+            move = next_camera @ after @ before.inverse() @ room_from_camera
             out[here] = world.camera.project(move.apply(points[here])) - grid[here]
         return out
 
 
-def _footprints(rays: np.ndarray, y: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """(n, 2, 2) what pixels span, right and down, as camera directions without z."""
-    height, width = rays.shape[:2]
-    here = rays[y, x]
-    right = rays[y, np.where(x + 1 < width, x + 1, x - 1)] - here
-    down = rays[np.where(y + 1 < height, y + 1, y - 1), x] - here
+def _spans(rays: np.ndarray) -> np.ndarray:
+    """(h, w, 2, 2) what pixels span, right and down, as camera directions without z."""
+    right = np.diff(rays, axis=1, append=rays[:, -2:-1])
+    down = np.diff(rays, axis=0, append=rays[-2:-1])
     # a neighbour beyond the lens's field: assume square pixels
-    right = np.where(np.isfinite(right), right, down[:, ::-1] * [1, -1])
-    down = np.where(np.isfinite(down), down, right[:, ::-1] * [-1, 1])
-    return np.nan_to_num(np.stack([right, down], 1))
+    right = np.where(np.isfinite(right), right, down[..., ::-1] * [1, -1])
+    down = np.where(np.isfinite(down), down, right[..., ::-1] * [-1, 1])
+    return np.nan_to_num(np.stack([right, down], 2))
 
 
 def _noise(seed: int, numbers: np.ndarray) -> np.ndarray:
@@ -239,11 +215,8 @@ def unit_noise(
     white = rng.standard_normal(shape, np.float32)
     if correlation_px <= 0:
         return white
-    radius = max(int(np.ceil(4 * correlation_px)), 1)
-    kernel = cv2.getGaussianKernel(2 * radius + 1, correlation_px, cv2.CV_64F)[:, 0]
-    blurred = cv2.sepFilter2D(
-        white, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REFLECT
-    )
-    return np.asarray(
-        blurred / np.float32((kernel**2).sum())
-    )  # variance of a separable filter: (sum k²)², its root
+    side = 2 * max(int(np.ceil(4 * correlation_px)), 1) + 1
+    kernel = cv2.getGaussianKernel(side, correlation_px)
+    blurred = cv2.sepFilter2D(white, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT)
+    # variance of a separable filter: (sum k²)², its root
+    return np.asarray(blurred / np.float32((kernel**2).sum()))

@@ -184,17 +184,17 @@ def _albedo(hit, towards, distance, spans, rect, texture, table):
 
 
 @line_kernel(error_model="numpy")
-def shade(rays: Rays, distances, indices, room: Room, radiance, numbers):
-    """Fill radiance (n, 3) and numbers (n,) of rays that meet these surfaces (indices (n,), -1 =
-    nothing is left as it is). numbers : for the surface and the lights that it sees; 0 where
-    it sees a part of one, and on a print, whose edges are hard"""
+def shade(rays: Rays, room: Room, radiance, numbers):
+    """Fill radiance (n, 3) and numbers (n,) of the rays that meet something; what is there for
+    the others stays. numbers : for the surface and the lights that it sees; 0 where it sees a
+    part of one, and on a print, whose edges are hard"""
     rects, spheres, lights = room.rects, room.spheres, room.lights
-    for n in range(len(indices)):
-        i = indices[n]
+    for n in range(len(numbers)):
+        start, towards = vector(rays.starts[n]), vector(rays.towards[n])
+        distance, i = _intersect(start, towards, rects, spheres, False)
         if i < 0:
             continue
-        towards, distance = vector(rays.towards[n]), distances[n]
-        hit = shifted(vector(rays.starts[n]), distance, towards)
+        hit = shifted(start, distance, towards)
         gloss, whole, number = 0.0, True, i + 1
         if i < rects.shape[0]:
             texture = room.textures[int(rects[i, 14])]

@@ -14,12 +14,11 @@ import cv2
 import numpy as np
 
 from arfx.core.colour import SRGB
-from arfx.core.marker import MarkerSpec
 from arfx.core.marker_codes import marker_cells
 from arfx.core.numerics import direction_of, normalise
 from arfx.errors import InputError
 from arfx.media.images import decode_picture
-from arfx.synth.description import Texture
+from arfx.synth.description import Marker, Texture
 
 
 def texture_albedo(
@@ -131,25 +130,22 @@ def _posters(rng: np.random.Generator, h: int, w: int, cell: float) -> np.ndarra
 
 
 def sheet_albedo(
-    spec: MarkerSpec,
-    margin_cells: float,
-    ink: float,
-    paper: float,
-    inverted: bool = False,
-    right_ink: float | None = None,
+    marker: Marker, right_ink: float | None = None
 ) -> tuple[np.ndarray, float]:
     """Albedo picture of the whole sheet and the sheet's side in metres.
     The margin is made exact by cutting every cell into a whole number of texels. right_ink
-    : ink albedo at the right edge, growing linearly from `ink` at the left (worn print);
-    None = even. Returns (rows, columns, 1) float64."""
-    cells = marker_cells(spec.family, spec.id) ^ inverted
-    per_cell = 4  # a margin of quarters of a cell is exact; finer ones are rounded to it
-    big = np.kron(cells, np.ones((per_cell, per_cell), bool))
-    whole = np.pad(big, round(margin_cells * per_cell), constant_values=not inverted)
-    ramp = np.linspace(ink, ink if right_ink is None else right_ink, whole.shape[1])
-    return np.where(whole, paper, ramp[None, :])[..., None], spec.size_m * whole.shape[
-        0
-    ] / (len(cells) * per_cell)
+    : ink albedo at the right edge, growing linearly from the marker's at the left (worn
+    print); None = even. Returns (rows, columns, 1) float64."""
+    cells = marker_cells(marker.spec.family, marker.spec.id) ^ marker.inverted
+    texels = 4  # a margin of quarters of a cell is exact; finer ones are rounded to it
+    margin = round(marker.margin_cells * texels)
+    big = np.kron(cells, np.ones((texels, texels), bool))
+    white = np.pad(big, margin, constant_values=not marker.inverted)
+    ink = np.linspace(
+        marker.ink, marker.ink if right_ink is None else right_ink, len(white)
+    )
+    side_m = marker.spec.size_m * len(white) / len(big)
+    return np.where(white, marker.paper, ink)[..., None], side_m
 
 
 def environment_picture(source: str | Path, folder: Path | None = None) -> np.ndarray:
@@ -166,27 +162,28 @@ def environment_picture(source: str | Path, folder: Path | None = None) -> np.nd
     return cv2.resize(rgb, (256, 128), interpolation=cv2.INTER_AREA)
 
 
+# lamps in the built-in rooms: direction, radius in degrees, radiance
+_STUDIO = (
+    (0.5, -0.6, 0.62, 14, 5.5, 5.6, 6.0),
+    (-0.7, 0.3, 0.65, 10, 2.6, 2.5, 2.3),
+    (-0.1, 0.9, 0.4, 8, 2.0, 1.4, 0.8),
+)
+_SUN = ((0.85, 0.35, 0.4, 4, 70.0, 52.0, 30.0),)
+
+
 def _made(name: str) -> np.ndarray:
-    h, w = 128, 256
-    towards, _ = _directions(h, w)
-    z = towards[..., 2]
-    boxes: tuple[tuple[tuple[float, float, float], int, tuple[float, float, float]], ...]
+    towards, _ = _directions(128, 256)
+    z = towards[..., 2:]
+    low, high = (1 - np.abs(z)) ** 3, np.abs(z)
     if name == "studio":  # grey room, two soft boxes and a warm strip
-        base = np.repeat((0.25 + 0.1 * z)[..., None], 3, axis=2)
-        boxes = (
-            ((0.5, -0.6, 0.62), 14, (5.5, 5.6, 6.0)),
-            ((-0.7, 0.3, 0.65), 10, (2.6, 2.5, 2.3)),
-            ((-0.1, 0.9, 0.4), 8, (2.0, 1.4, 0.8)),
-        )
+        picture = np.repeat(0.25 + 0.1 * z, 3, axis=2)
     else:
-        low = (1 - np.abs(z)) ** 3
-        sky = np.stack([0.25 + 0.5 * low, 0.3 + 0.25 * low, 0.5 - 0.1 * np.abs(z)], -1)
-        base = np.where((z > 0)[..., None], sky, [0.12, 0.11, 0.1])
-        boxes = (((0.85, 0.35, 0.4), 4, (70.0, 52.0, 30.0)),)
-    for centre, radius_deg, rgb in boxes:
-        unit = np.asarray(centre) / np.linalg.norm(centre)
-        base[towards @ unit > np.cos(np.radians(radius_deg))] = rgb
-    return base
+        sky = np.dstack([0.25 + 0.5 * low, 0.3 + 0.25 * low, 0.5 - 0.1 * high])
+        picture = np.where(z > 0, sky, [0.12, 0.11, 0.1])
+    for *centre, radius_deg, r, g, b in _STUDIO if name == "studio" else _SUN:
+        inside = towards @ normalise(np.array(centre)) > np.cos(np.radians(radius_deg))
+        picture[inside] = r, g, b
+    return picture
 
 
 def _directions(h: int, w: int) -> tuple[np.ndarray, np.ndarray]:
@@ -204,24 +201,28 @@ def environment_lights(picture: np.ndarray, count: int) -> np.ndarray:
     h, w = picture.shape[:2]
     towards, solid = _directions(h, w)
     power = picture.mean(-1) * solid
-    towards, solid, power = towards.reshape(-1, 3), solid.ravel(), power.ravel()
-    regions = [np.arange(h * w).reshape(h, w)]  # of pixels
+    # of each pixel: direction by power, light, power, row
+    pixels = np.dstack(
+        [
+            towards * power[..., None],
+            picture * solid[..., None] / np.pi,
+            power,
+            np.indices((h, w))[0],
+        ]
+    )
+    regions = [pixels]
     while len(regions) < count:
-        sizes = [power[r].sum() if r.size > 1 else -1.0 for r in regions]
+        sizes = [r[..., 6].sum() if r[..., 6].size > 1 else -1.0 for r in regions]
         pick = int(np.argmax(sizes))
         if sizes[pick] <= 0:
             break
         region = regions.pop(pick)
-        rows, columns = region.shape
-        middle = np.cos(np.pi * (0.5 - (region[0, 0] // w + rows / 2) / h))
+        rows, columns, _ = region.shape
+        middle = np.cos(np.pi * (0.5 - (region[0, 0, 7] + rows / 2) / h))
         axis = 0 if columns == 1 or rows > columns * 2 * h / w * middle else 1
-        sums = power[region].sum(1 - axis).cumsum()
+        sums = region[..., 6].sum(1 - axis).cumsum()
         cut = np.clip(np.searchsorted(sums, sums[-1] / 2) + 1, 1, len(sums) - 1)
         regions += np.split(region, [int(cut)], axis)
-    lights = []
-    for r in regions:
-        mean = (towards[r] * power[r][..., None]).sum((0, 1))
-        rgb = (picture.reshape(-1, 3)[r] * solid[r][..., None]).sum((0, 1)) / np.pi
-        if mean.any():
-            lights.append([*normalise(mean), *rgb, 0.0])
+    totals = [r.sum((0, 1)) for r in regions]
+    lights = [[*normalise(t[:3]), *t[3:6], 0.0] for t in totals if t[:3].any()]
     return np.array(lights, float).reshape(-1, 7)

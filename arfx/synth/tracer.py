@@ -20,12 +20,11 @@ def radiance(rays: Rays, room: Room) -> tuple[np.ndarray, np.ndarray]:
     """(n, 3) what comes along rays; (n,) uint16 a number for the surface and the lights that it
     sees: 1 where nothing is met, as by a ray that is NaN, 0 where a part of a light is seen,
     and on a print."""
-    distance, index = _hits(rays.starts, rays.towards, room)
-    light, numbers = np.zeros((len(index), 3)), np.ones(len(index), np.uint16)
+    light, numbers = np.zeros(rays.starts.shape), np.ones(len(rays.starts), np.uint16)
+    shade(rays, room, light, numbers)
     if room.sky.size:
-        away = (index < 0) & np.isfinite(rays.towards[:, 0])
+        away = (numbers == 1) & np.isfinite(rays.towards[:, 0])
         light[away] = _sky(room.sky, rays.towards[away])
-    shade(rays, distance, index, room, light, numbers)
     return light, numbers
 
 
@@ -35,19 +34,12 @@ def surfaces(rays: np.ndarray, pose: Pose, room: Room) -> tuple[np.ndarray, np.n
     """
     towards = np.pad(rays.reshape(-1, 2), ((0, 0), (0, 1)), constant_values=1.0)
     starts = np.tile(pose.translation_m, (len(towards), 1))
-    distance, index = _hits(starts, towards @ pose.rotation.T, room)
+    distance, index = np.empty(len(towards)), np.empty(len(towards), np.int64)
+    towards = towards @ pose.rotation.T
+    first_hits(starts, towards, room.rects, room.spheres, distance, index)
     owners = np.concatenate([room.rects[:, 15], room.spheres[:, 7], [0.0]])
     depth, owner = np.where(index < 0, 0.0, distance), owners[index].astype(np.uint8)
     return depth.reshape(rays.shape[:2]), owner.reshape(rays.shape[:2])
-
-
-def _hits(
-    starts: np.ndarray, towards: np.ndarray, room: Room
-) -> tuple[np.ndarray, np.ndarray]:
-    """Distance (n,) in units of `towards`, and index (n,) of the surface, -1 = nothing."""
-    distance, index = np.empty(len(towards)), np.empty(len(towards), np.int64)
-    first_hits(starts, towards, room.rects, room.spheres, distance, index)
-    return distance, index
 
 
 def _sky(sky: np.ndarray, towards: np.ndarray) -> np.ndarray:

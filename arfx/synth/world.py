@@ -4,9 +4,9 @@ under which light; exact poses by time.
 
 from __future__ import annotations
 
-import itertools
 import zlib
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -33,13 +33,17 @@ from arfx.synth.textures import (
     texture_albedo,
 )
 
+_X, _Y, _Z = np.eye(3)
+# (u, v) of a box's sides; a plane or a sheet is the first of them
+_UP = (_X, _Y)
+_SIDES = ((_X, -_Y), _UP, (-_Y, _Z), (_Y, _Z), (_X, _Z), (-_X, _Z))
+
 
 class World:
     """Everything of a scene that does not depend on time, made once.
     camera : the true one;  frame_times_s : (frames,) from 0 at the first frame;  shots :
     (frames,) shot of each frame
-    textures, table : tracer's summed-area tables;  ambient, sky : tracer's ambient light
-    beside `lights_at`
+    room : each thing in its own axes, and the lights of a panorama
     """
 
     def __init__(self, scene: SceneFile, folder: Path | None = None) -> None:
@@ -47,28 +51,35 @@ class World:
         self.camera = true_camera(scene)
         self.frame_times_s = _frame_times(scene)
         self.shots = np.repeat(np.arange(len(scene.shot)), [s.frames for s in scene.shot])
-        self._pictures: list[tuple[np.ndarray, float]] = []
-        rows = [
-            row
-            for i, p in enumerate(scene.objects, 1)
-            for row in self._make(p, i, folder)
-        ]
-        self._rects, self._spheres = (
-            np.array([row for row in rows if len(row) == columns]).reshape(-1, columns)
-            for columns in (17, 8)
-        )
-        self.textures, self.table = _summed_areas(self._pictures)
-        self.ambient = np.asarray(scene.light.ambient_rgb, float)
-        self.sky = np.zeros((0, 0, 3))
+        rects, spheres = list[Any](), list[Any]()
+        pictures = list[tuple[np.ndarray, float]]()
+        for number, p in enumerate(scene.objects, 1):
+            if isinstance(p, Sphere):
+                spheres.append([0, 0, 0, p.radius_m, *p.colour, number])
+                continue
+            size_m, picture, smallest, gloss = self._surface(p, number, folder)
+            half = np.array(size_m) / 2
+            for u, v in _SIDES if isinstance(p, Box) else (_UP,):
+                n = np.cross(u, v)
+                sides = half @ abs(u), half @ abs(v)
+                about = (*sides, len(pictures), number, gloss)
+                rects.append([*(half * n + half * _Z), *u, *v, *n, *about])
+            pictures.append((picture, smallest))
+        ambient = np.array(scene.light.ambient_rgb, float)
+        sky, lights = np.zeros((0, 0, 3)), np.zeros((0, 7))
         if scene.light.environment:
-            self.sky = (
-                environment_picture(scene.light.environment, folder)
-                * scene.light.environment_scale
-            )
-            self._sky_lights = environment_lights(
-                self.sky, scene.light.environment_lights
-            )
-            self.ambient = np.zeros(3)
+            sky = environment_picture(scene.light.environment, folder)
+            sky = sky * scene.light.environment_scale
+            lights = environment_lights(sky, scene.light.environment_lights)
+            ambient = np.zeros(3)
+        self.room = Room(
+            np.array(rects, float).reshape(-1, 17),
+            np.array(spheres, float).reshape(-1, 8),
+            lights,
+            ambient,
+            *_summed_areas(pictures),
+            sky,
+        )
 
     @property
     def duration_s(self) -> float:
@@ -77,51 +88,33 @@ class World:
     def lights_at(self, time_s: float) -> np.ndarray:
         """(n, 7) tracer lights at a time."""
         if self.scene.light.environment:
-            return self._sky_lights
+            return self.room.lights
         rows = []
         for li in self.scene.light.lamps:
-            phase = np.sin(2 * np.pi * time_s / li.period_s)
-            swing = np.multiply(li.swing_deg, phase)
-            angles = np.radians(np.add((li.azimuth_deg, li.elevation_deg), swing))
+            swing = np.sin(2 * np.pi * time_s / li.period_s) * np.array(li.swing_deg)
+            angles = np.radians(np.add(swing, (li.azimuth_deg, li.elevation_deg)))
             # of two keys at one time the later holds from then on
-            factor = (
-                np.interp(time_s, *np.array(li.brightness).T) if li.brightness else 1.0
-            )
+            keys = np.array(li.brightness or [(0.0, 1.0)])
+            rgb = np.interp(time_s, *keys.T) * np.array(li.rgb)
             disc = np.tan(np.radians(li.angular_size_deg) / 2)
-            rows.append([*direction_of(*angles), *np.multiply(li.rgb, factor), disc])
+            rows.append([*direction_of(*angles), *rgb, disc])
         return np.array(rows).reshape(-1, 7)
 
-    def _make(self, p: SceneObject, number: int, folder: Path | None) -> list[np.ndarray]:
-        """Rows of one object in its own axes."""
-        if isinstance(p, Sphere):
-            return [np.array([0, 0, 0, p.radius_m, *p.colour, number], float)]
-        x, y, z = np.eye(3)
-        hidden, size, gloss = self.scene.hidden, (0.0, 0.0), 0.0
+    def _surface(
+        self, p: SceneObject, number: int, folder: Path | None
+    ) -> tuple[tuple[float, ...], np.ndarray, float, float]:
+        """Size (3,) metres, albedo, smallest box in texels, gloss."""
         if isinstance(p, Marker):
-            picture, side = sheet_albedo(
-                p.spec, p.margin_cells, p.ink, p.paper, p.inverted, hidden.worn_ink
-            )
-            size, smooth, gloss = (side, side), False, hidden.gloss
-        else:
-            assert isinstance(p, (Plane, Box))
-            size = p.size_m[0], p.size_m[1]
-            if isinstance(p, Box):
-                size = max(p.size_m[:2]), max(p.size_m[1:])
-            picture = texture_albedo(
-                p.texture, size, self.scene.seed * 1000 + number - 1, folder
-            )
-            smooth = isinstance(p, Box) or p.texture.kind != "checker"
-        self._pictures.append((picture, float(smooth)))
-        texture = len(self._pictures) - 1
-        if not isinstance(p, Box):
-            return [
-                _rect(0 * z, x, y, np.array([*size, 0.0]) / 2, texture, number, gloss)
-            ]
-        half = np.array(p.size_m) / 2
-        return [
-            _rect(half * np.cross(u, v) + half * z, u, v, half, texture, number)
-            for u, v in ((x, -y), (x, y), (-y, z), (y, z), (x, z), (-x, z))
-        ]
+            hidden = self.scene.hidden
+            picture, side = sheet_albedo(p, hidden.worn_ink)
+            return (side, side, 0.0), picture, 0.0, hidden.gloss
+        assert isinstance(p, (Plane, Box))
+        x, y, z = size = (*p.size_m, 0.0)[:3]
+        covered = (max(x, y), max(y, z)) if isinstance(p, Box) else (x, y)
+        seed = self.scene.seed * 1000 + number - 1
+        picture = texture_albedo(p.texture, covered, seed, folder)
+        hard = isinstance(p, Plane) and p.texture.kind == "checker"
+        return size, picture, float(not hard), 0.0
 
     def poses(self, time_s: float) -> tuple[Pose, ...]:
         """room_from_object of every object."""
@@ -145,20 +138,15 @@ class World:
         def moved(rows: np.ndarray, vectors: int, number: int) -> np.ndarray:
             """Rows in the room. vectors : the first is a place, the others directions"""
             rows, owner = rows.copy(), rows[:, number].astype(int) - 1
-            own = rows[:, : 3 * vectors].reshape(-1, vectors, 3)
-            placed = np.einsum("nij,nkj->nki", turns[owner], own)
-            placed[:, 0] += shifts[owner]
-            rows[:, : 3 * vectors] = placed.reshape(-1, 3 * vectors)
+            own = rows[:, : 3 * vectors].reshape(-1, vectors, 3)  # of the copy
+            own[:] = own @ turns[owner].swapaxes(1, 2)
+            own[:, 0] += shifts[owner]
             return rows
 
-        return Room(
-            moved(self._rects, 4, 15),
-            moved(self._spheres, 1, 7),
-            self.lights_at(time_s),
-            self.ambient,
-            self.textures,
-            self.table,
-            self.sky,
+        return self.room._replace(
+            rects=moved(self.room.rects, 4, 15),
+            spheres=moved(self.room.spheres, 1, 7),
+            lights=self.lights_at(time_s),
         )
 
     def camera_at(self, frame: int, time_s: float) -> Pose:
@@ -166,14 +154,10 @@ class World:
         frame's shot.
         """
         shot = int(self.shots[frame])
-        began, ended = self.frame_times_s[np.flatnonzero(self.shots == shot)[[0, -1]]]
-        return camera_from_room(
-            self.scene.shot[shot].path,
-            time_s - began,
-            ended - began,
-            self.scene.seed,
-            f"shot {shot}",
-        )
+        times = self.frame_times_s[self.shots == shot]
+        path, since = self.scene.shot[shot].path, time_s - times[0]
+        seed, lasts = self.scene.seed, times[-1] - times[0]
+        return camera_from_room(path, since, lasts, seed, f"shot {shot}")
 
 
 def true_camera(scene: SceneFile) -> Camera:
@@ -183,10 +167,7 @@ def true_camera(scene: SceneFile) -> Camera:
     """
     w, h, lens = scene.clip.width, scene.clip.height, scene.lens
     f = w / 2 / np.tan(np.radians(lens.fov_deg) / 2)
-    cx, cy = (
-        (w - 1) / 2 + lens.centre_offset_px[0],
-        (h - 1) / 2 + lens.centre_offset_px[1],
-    )
+    cx, cy = np.add(((w - 1) / 2, (h - 1) / 2), lens.centre_offset_px)
     return Camera(
         w,
         h,
@@ -197,33 +178,16 @@ def true_camera(scene: SceneFile) -> Camera:
     )
 
 
-def _rect(
-    centre: np.ndarray,
-    u: np.ndarray,
-    v: np.ndarray,
-    half: np.ndarray,
-    texture: int,
-    number: int,
-    gloss: float = 0.0,
-) -> np.ndarray:
-    """half : (3,) of what it is a side of, along the object's axes"""
-    sides = half @ abs(u), half @ abs(v)
-    return np.array(
-        [*centre, *u, *v, *np.cross(u, v), *sides, texture, number, gloss], float
-    )
-
-
 def _summed_areas(
     pictures: list[tuple[np.ndarray, float]],
 ) -> tuple[np.ndarray, np.ndarray]:
-    rows, tables, first = [], [np.zeros((1, 3))], 1
+    rows, tables = [], [np.zeros((1, 3))]
     for picture, smallest in pictures:
         h, w = picture.shape[:2]
         rgb = np.broadcast_to(picture, (h, w, 3)).astype(float)
-        rows.append([first, w, h, smallest])
+        rows.append([sum(map(len, tables)), w, h, smallest])
         tables.append(np.asarray(cv2.integral(rgb), float).reshape(-1, 3))
-        first += len(tables[-1])
-    return np.reshape(rows, (-1, 4)).astype(float), np.concatenate(tables)
+    return np.array(rows, float).reshape(-1, 4), np.concatenate(tables)
 
 
 def _frame_times(scene: SceneFile) -> np.ndarray:
@@ -237,9 +201,9 @@ def _frame_times(scene: SceneFile) -> np.ndarray:
 
 def marker_points(marker: Marker, count: int = 12) -> np.ndarray:
     """(count², 3) points spread evenly over the marker's black square, marker axes, metres."""
-    h = marker.spec.size_m / 2
-    grid = (np.arange(count) + 0.5) / count * 2 * h - h
-    return np.array([(x, y, 0.0) for x, y in itertools.product(grid, grid)])
+    grid = ((np.arange(count) + 0.5) / count - 0.5) * marker.spec.size_m
+    x, y = np.meshgrid(grid, grid)
+    return np.stack([x, y, 0 * x], -1).reshape(-1, 3)
 
 
 def smooth_noise(
@@ -276,13 +240,13 @@ def camera_from_room(
         np.asarray(path.target_m, float),
         np.asarray(path.position_m, float),
     )
+    share = _share(time_s, duration_s)
     if path.kind == "orbit":
-        azimuth, elevation = np.radians(
-            _along(np.array([path.azimuth_deg, path.elevation_deg]).T, time_s, duration_s)
-        )
-        position = target + path.radius_m * direction_of(azimuth, elevation)
+        ends = np.radians([path.azimuth_deg, path.elevation_deg])
+        towards = direction_of(*(ends @ (1 - share, share)))
+        position = target + path.radius_m * towards
     elif path.kind == "dolly":
-        ease = smoothstep(_along(np.array([0.0, 1.0]), time_s, duration_s))
+        ease = smoothstep(share)
         position = (1 - ease) * position + ease * np.asarray(path.end_m)
     elif path.kind == "keys":
         position = _between(path.keys, "position_m", time_s)
@@ -293,10 +257,9 @@ def camera_from_room(
     return _trembling(both, path.hand_deg, path.hand_m) @ look_at(position, target)
 
 
-def _along(ends: np.ndarray, time_s: float, duration_s: float) -> np.ndarray:
-    """From the first value (2, ...) to the last over the duration, held beyond."""
-    share = np.clip(divide(time_s, duration_s), 0.0, 1.0)
-    return np.asarray(ends[0] + (ends[1] - ends[0]) * share)
+def _share(time_s: float, duration_s: float) -> float:
+    """0 at the beginning and before, 1 at the end and after."""
+    return float(np.clip(divide(time_s, duration_s), 0.0, 1.0))
 
 
 def _trembling(noise: np.ndarray, turn_deg: float, travel_m: float) -> Pose:
@@ -318,7 +281,8 @@ def room_from_object(
         rotation = rotation_from_euler_deg(*_between(motion.keys, "rotate_deg", time_s))
         pose = Pose(rotation, _between(motion.keys, "position_m", time_s))
     elif motion.kind == "turn":
-        angle = np.radians(_along(np.array(motion.angle_deg), time_s, duration_s))
+        share = _share(time_s, duration_s)
+        angle = np.radians(motion.angle_deg) @ (1 - share, share)
         axis = normalise(np.asarray(motion.axis, float))
         pose = pose @ Pose.from_rotvec(axis * angle, np.zeros(3))
     else:

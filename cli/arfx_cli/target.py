@@ -58,17 +58,11 @@ def command(
         f"wrote {output}: {sheet.width_mm:g} x {sheet.height_mm:g} mm; print at 100 % and"
         " measure the ruler"
     )
-    for target, cells in zip(
-        targets, sheet.cells, strict=False
-    ):  # a ChArUco board's markers come after the board
-        rows, columns = cells.black.shape
-        size = (
-            f"{columns * cells.cell_mm:g} x {rows * cells.cell_mm:g} mm ({columns} x {rows}"
-            f" squares of {cells.cell_mm:.4g} mm)"
-        )
+    for target, black in zip(targets, sheet.black, strict=True):
+        (x, y), (right, lower) = black.min((0, 1)), black.max((0, 1))
         detail(
-            f"{target}: {size}, {cells.x_mm:.1f} mm from the left and {cells.y_mm:.1f} mm"
-            " from the top of the page"
+            f"{target}: {right - x:g} x {lower - y:g} mm of black, {x:.1f} mm from the left and"
+            f" {y:.1f} mm from the top of the page"
         )
     if as_json:
         emit_json(

@@ -255,7 +255,7 @@ def test_pictures_that_are_no_use_are_left_out_with_a_note(
     assert (
         "5.jpg cannot be read" in r.err
         and "3.jpg is 320x240" in r.err
-        and "4.jpg is 640x480 by EXIF orientation 3" in r.err
+        and "4.jpg is 640x480 upside down by EXIF" in r.err
     )
     assert "p.HEIC" in r.err and load_camera(tmp_path / "c.yaml").fx == pytest.approx(
         TRUE.fx, rel=0.02

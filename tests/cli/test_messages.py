@@ -88,7 +88,7 @@ def test_target(arfx: Run, place: Path) -> None:
     says(
         arfx,
         place,
-        "36h11:3:100mm: 100 x 100 mm (8 x 8 squares",
+        "36h11:3:100mm: 100 x 100 mm of black, ",
         "target",
         "36h11:3:100mm",
         "-o",

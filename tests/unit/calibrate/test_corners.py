@@ -77,7 +77,7 @@ def test_a_board_upside_down_keeps_its_numbers() -> None:
         "b",
     )
     assert told is not None
-    assert told.upside_down is None
+    assert told.upside_down is False
 
 
 def test_charuco_corners_also_where_the_board_leaves_the_picture() -> None:

@@ -16,7 +16,6 @@ from PIL import Image
 from arfx.calibrate.board import BoardSpec
 from arfx.calibrate.corners import find_view
 from arfx.calibrate.print_layout import (
-    Cells,
     lay_out,
     outlines,
     parse_targets,
@@ -134,7 +133,7 @@ def filled(
     ],
 )
 def test_outlines_enclose_exactly_the_black(bits: np.ndarray) -> None:
-    paths = outlines(Cells(5.0, 7.0, 2.0, bits))
+    paths = list(outlines(bits, 2.0, (5.0, 7.0)))
     picture = filled(paths, (40, 40), 2)
     expected = np.zeros_like(picture)
     expected[14 : 14 + 4 * len(bits), 10 : 10 + 4 * len(bits)] = np.kron(

@@ -276,7 +276,7 @@ def test_settings_of_an_older_plug_in_may_be_a_dataclass(tmp_path: Path) -> None
     }
     assert Grain().params.strength == 0.5
     for given, says in (
-        ("strenght = 1", r"stage 'grain' has no setting 'strenght'\n.*:2\n.*'strength'"),
+        ("strenght = 1", r"\[grain\] has no setting 'strenght'\n.*:2\n.*'strength'"),
         (
             "strength = 2",
             r"grain.strength must be at most 1, is 2.0\n.*job.toml:1\nhelp: 1",
@@ -363,7 +363,7 @@ def test_what_a_check_of_a_stage_refuses_is_told_beside_all_else(tmp_path: Path)
         (17, "dof.aperture: Input should be greater than or equal to 0, is -1"),
         (18, "dof.blades: must be 3 or more, is 2"),
         (19, "dof.name: Input should be a valid string, is 3"),
-        (20, "stage 'dof' has no setting 'near'"),
+        (20, "[dof] has no setting 'near'"),
         (22, "marker.2.spec: marker 'x' is not FAMILY:ID:SIZE"),
     ):
         assert f"{says}\n  --> {tmp_path / 'job.toml'}:{line}" in str(e.value)

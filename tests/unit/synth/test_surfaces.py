@@ -12,7 +12,7 @@ from arfx.core.colour import SRGB
 from arfx.core.marker import FAMILIES, MarkerSpec
 from arfx.core.marker_codes import marker_cells
 from arfx.errors import InputError
-from arfx.synth.description import Texture
+from arfx.synth.description import Marker, Texture
 from arfx.synth.textures import sheet_albedo, texture_albedo
 from tests.unit.synth.little_scenes import from_above, little_scene, picture_of
 
@@ -20,7 +20,8 @@ from tests.unit.synth.little_scenes import from_above, little_scene, picture_of
 @pytest.mark.parametrize("family", FAMILIES)
 def test_prints_of_every_family_are_read_by_opencv(family: str) -> None:
     number = FAMILIES[family] // 2
-    picture, _ = sheet_albedo(MarkerSpec(family, number, 0.1), 2.0, 0.0, 1.0)
+    spec = MarkerSpec(family, number, 0.1)
+    picture, _ = sheet_albedo(Marker(spec=spec, margin_cells=2, ink=0, paper=1))
     big = cv2.resize(
         (picture[..., 0] * 255).astype(np.uint8),
         None,
@@ -46,14 +47,14 @@ def test_prints_of_every_family_are_read_by_opencv(family: str) -> None:
 
 def test_sheet_has_its_stated_albedo_margin_and_wear() -> None:
     spec = MarkerSpec("36h11", 3, 0.08)
-    picture, side = sheet_albedo(spec, 1.5, 0.05, 0.88)
+    picture, side = sheet_albedo(Marker(spec=spec))
     assert set(np.unique(picture)) == {0.05, 0.88}
     assert side == pytest.approx(0.08 * (8 + 3) / 8)
     assert (picture[:6] == 0.88).all() and (picture[6, 6:-6] == 0.05).all()
-    worn, _ = sheet_albedo(spec, 1.5, 0.05, 0.88, right_ink=0.2)
+    worn, _ = sheet_albedo(Marker(spec=spec), right_ink=0.2)
     ink = worn[20, worn[20, :, 0] < 0.5, 0]
     assert (np.diff(ink) > 0).all()
-    inverted, _ = sheet_albedo(spec, 1.5, 0.05, 0.88, inverted=True)
+    inverted, _ = sheet_albedo(Marker(spec=spec, inverted=True))
     np.testing.assert_allclose(inverted + picture, 0.93)
 
 
