@@ -40,7 +40,7 @@ _REQUIRED = {"abm", "avx2", "bmi1", "bmi2", "f16c", "fma", "movbe"}
 # part of the index of cached code.
 _SLP = "NUMBA_SLP_VECTORIZE"
 _IMPORTS = re.compile(r"^from (arfx[\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
-_COMPILES = re.compile(r"^@(line_kernel|numba\.njit)", re.MULTILINE)
+_COMPILES = re.compile(r"^@(line_)?kernel\b", re.MULTILINE)
 _LOCATORS, _FOLDER = "NUMBA_CACHE_LOCATOR_CLASSES", "NUMBA_CACHE_DIR"
 
 
@@ -68,15 +68,24 @@ def target_cpu() -> str:
     return TARGET if instructions() >= _REQUIRED else ""
 
 
+def kernel(**options: Any) -> Any:
+    """`numba.njit` as all loops here want it: kept, without Python's lock, and without a
+    second entry point for C, which would take a third of the time to compile.
+
+    options : more of njit"""
+    return import_module("numba").njit(
+        cache=True, nogil=True, no_cfunc_wrapper=True, **options
+    )
+
+
 def line_kernel(**options: Any) -> Any:
-    """`numba.njit` for a function that is called for every line or ray and counts no
-    references to arrays. options : more of njit
+    """A `kernel` that is called for every line or ray and counts no references to arrays.
 
     Otherwise each array or slice that is made or passed on costs two locked additions: a
     fifth of a line kernel's time, half of the ray tracer's, and more where two threads
     count the same array's. Such a function allocates no arrays: its caller, which counts,
     allocates scratch and owns the arguments."""
-    return import_module("numba").njit(cache=True, nogil=True, _nrt=False, **options)
+    return kernel(_nrt=False, **options)
 
 
 class CacheLocator:

@@ -16,11 +16,10 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
 from arfx.core.colour import Transfer, yuv_from_rgb
-from arfx.core.compiled import FAST, line_kernel
+from arfx.core.compiled import FAST, kernel, line_kernel
 from arfx.media.planes import FrameFormat
 
 _F, _I, _U = np.float32, np.int32, np.uint32
@@ -155,7 +154,7 @@ def _coded_line(s, planes, row, left, scratch, out):
         out[i + two] = m[2][0] * y + m[2][1] * u[k] + m[2][2] * v[k]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
+@kernel(fastmath=FAST)
 def read(s, planes, rect, out):
     """out (h, w, 3) float32 linear RGB of coded `rect` (x0, y0, x1, y1)."""
     w = out.shape[1]
@@ -171,7 +170,7 @@ def _read_lines(s, planes, rect, scratch, places, out):
         _decode(line, s.decoding, s.scale, places)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
+@kernel(fastmath=FAST)
 def add(s, planes, target, rect, before, after):
     """Adds the difference of two pictures to stored samples.
 

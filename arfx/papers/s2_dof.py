@@ -28,11 +28,11 @@ from math import ceil, sqrt
 from typing import Any
 
 import cv2
-import numba
 import numpy as np
 from pydantic import field_validator
 
 from arfx.core.colour import LUMA_COEFFICIENTS, SRGB
+from arfx.core.compiled import kernel
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.numerics import divide, smoothstep
@@ -151,7 +151,7 @@ def mean_filter(
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _mean_without_front(
     out, top, bottom, colour, dioptre, weights, any_in_front
 ):  # pragma: no cover - compiled
@@ -189,7 +189,7 @@ def eq8_bleed(colour: np.ndarray, dioptre: np.ndarray) -> np.ndarray:
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _bleed(out, top, bottom, colour, luma, dioptre):  # pragma: no cover - compiled
     h, w = luma.shape
     sums = np.zeros(4, np.float32)

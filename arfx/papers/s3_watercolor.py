@@ -18,10 +18,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal
 
-import numba
 import numpy as np
 
 from arfx.core.colour import SRGB
+from arfx.core.compiled import kernel
 from arfx.core.layers import Layer
 from arfx.core.noise import noise
 from arfx.core.numerics import normalise
@@ -120,7 +120,7 @@ def cones(sites: Sites, size: np.ndarray, rect: Rect, m: int, n: int) -> np.ndar
     return labels
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _draw_cones(x, y, size, length, depth, labels):  # pragma: no cover - compiled
     """depth (h, w) : the depth buffer, squared, and labels are written; of equal depths the first
     one stays."""

@@ -15,9 +15,9 @@ Its errors: docs/methods/gi.md#errata."""
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from arfx.core.compiled import kernel
 from arfx.core.parallel import parallel_rows
 from arfx.papers.s4_volumes import Octree, Volumes, node_below
 
@@ -95,7 +95,7 @@ def cone_trace(
     return np.concatenate([np.zeros((0, d.shape[1], 4), np.float32), *parts])
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _cone_trace(
     tree: Octree, V, steps, start, directions, scaled
 ):  # pragma: no cover - compiled
@@ -157,7 +157,7 @@ def _cone_trace(
     return out
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def sample(tree: Octree, V, level, at, d, out):  # pragma: no cover - compiled
     """out (4,) : r, g, b, opacity as seen along d, linear between the level's eight voxels around
     `at`, in voxels of the lowest."""

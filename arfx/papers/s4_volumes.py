@@ -14,9 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from arfx.core.compiled import kernel
 from arfx.core.scene import Scene
 from arfx.papers.s4_voxels import Volume, voxelise
 
@@ -164,7 +164,7 @@ def morton(cells: np.ndarray) -> np.ndarray:
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def node_below(tree: Octree, node, bits, x, y, z):  # pragma: no cover - compiled
     """Voxel x, y, z, `bits` levels under a node that holds it; -1 where nothing is stored. The root
     is node 0."""

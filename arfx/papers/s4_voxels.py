@@ -14,9 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from arfx.core.compiled import kernel
 from arfx.core.model import Part
 from arfx.core.numerics import divide, normalise
 from arfx.core.scene import Scene
@@ -89,7 +89,7 @@ def cut_triangles(
     return corners, normals, cuts, piece_area
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def add_pieces(
     corners, normals, cuts, piece_area, alpha, sums
 ):  # pragma: no cover - compiled

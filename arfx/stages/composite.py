@@ -15,9 +15,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numba
 import numpy as np
 
+from arfx.core.compiled import kernel
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, packed
 from arfx.core.pixels import Pixels, bands
@@ -78,7 +78,7 @@ def shade(
     _shade(old, left, opacity, np.tile(bias, plate.shape[1]), out.reshape(lines))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _shade(plate, shadow, opacity, bias, out):  # pragma: no cover - compiled
     """out, plate, shadow : (h, 3 w) lines of pixels;  bias : (3 w,)"""
     one = np.float32(1)
@@ -88,7 +88,7 @@ def _shade(plate, shadow, opacity, bias, out):  # pragma: no cover - compiled
             out[y, k] = plate[y, k] + opacity * (plate[y, k] * dim - bias[k] * dim)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _over(
     plate, virtual, coverage, shadow, opacity, bias, out
 ):  # pragma: no cover - compiled

@@ -17,10 +17,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
-import numba
 import numpy as np
 
 from arfx.core.camera import Camera
+from arfx.core.compiled import kernel
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers, packed
 from arfx.core.numerics import divide
@@ -218,7 +218,7 @@ def _aim(
     return np.asarray(above + (below - above) * t - focus * points[:, :2])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _look_up(sums, pixel, place, z, within, picture):  # pragma: no cover - compiled
     """Add points met to sums (n, 8 and more): number that is opaque, and of those that the pinhole
     picture shows, colour, its squares.

@@ -13,11 +13,11 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-import numba
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from arfx.core.camera import Camera
+from arfx.core.compiled import kernel
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.numerics import divide
@@ -202,7 +202,7 @@ def _disc_ends(radius: float, blades: int, turn_deg: float) -> np.ndarray:
     return np.column_stack([px[j], i - half, ends[0][j, i], ends[1][j, i]])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _scatter(
     marks, top, light, slope, which, table, first, reach
 ):  # pragma: no cover - compiled

@@ -16,10 +16,9 @@ from functools import lru_cache
 from itertools import islice
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
-from arfx.core.compiled import FAST, line_kernel
+from arfx.core.compiled import FAST, kernel, line_kernel
 from arfx.core.cube import bordered, face_directions, resampled
 from arfx.core.sampling import frame_about
 from arfx.core.vectors import mixed, shifted, turned, vector
@@ -128,7 +127,7 @@ def _about(axes: np.ndarray, directions: np.ndarray) -> np.ndarray:
     return np.asarray(directions @ frames)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def look_ups(texels, sides, starts, level, directions):  # pragma: no cover - compiled
     """(n, 3) of `look_up` at levels (n,) in directions (n, 3)."""
     out = np.empty((directions.shape[0], 3), np.float32)

@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
-from arfx.core.compiled import FAST
+from arfx.core.compiled import FAST, kernel
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.stages.viewing import GRID_PX
@@ -106,7 +105,7 @@ def shadow_ratio(
     return ratio
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _add_texture(
     out, corner, nodes, start, texture, weights, share
 ):  # pragma: no cover - compiled
@@ -158,7 +157,7 @@ def _add_texture(
                 out[c, j, i] += weights[c] * value
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _write_ratio(out, taken, faint, rise, strength):  # pragma: no cover - compiled
     """out (h, w, 3) : 1 - `taken` (c, h, w), faded in above `faint` by the channel that
     loses most.

@@ -15,10 +15,9 @@ turns the steps into a ramp and leaves the contact sharp."""
 from __future__ import annotations
 
 import cv2
-import numba
 import numpy as np
 
-from arfx.core.compiled import FAST
+from arfx.core.compiled import FAST, kernel
 from arfx.core.sampling import r2
 
 COARSE = 8  # texels a side of a cell of the height map
@@ -52,7 +51,7 @@ def covered_fraction(
     return np.asarray(count / np.float32(len(slopes)))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _count(
     points, edges, across, directions, slopes, offsets, rows, columns
 ):  # pragma: no cover - compiled
@@ -82,7 +81,7 @@ def _count(
     return count
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _add_edge(turns, u, v, a, b, weight):  # pragma: no cover - compiled
     """turns (rows, columns + 1) += how often the contour turns around all texels to the
     right of an edge from point a to b.
@@ -100,7 +99,7 @@ def _add_edge(turns, u, v, a, b, weight):  # pragma: no cover - compiled
         turns[y, min(max(x, zero), last_column)] += weight
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def height_map(u, v, height, faces, rows, columns, empty):  # pragma: no cover - compiled
     """(rows, columns) float32: the greatest height of the triangles at each texel's centre;
     `empty` where there is none.
@@ -205,7 +204,7 @@ def _caster_height(
     )[: shape[0], : shape[1]]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _boxes(fraction, half_width):  # pragma: no cover - compiled
     """Mean of each row over a box about each texel, exact for parts of texels.
 

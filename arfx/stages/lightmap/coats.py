@@ -12,10 +12,9 @@ KHR_materials_sheen.
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
-import numba
 import numpy as np
 
-from arfx.core.compiled import FAST, line_kernel
+from arfx.core.compiled import FAST, kernel, line_kernel
 from arfx.core.vectors import dot, minus, scaled
 from arfx.stages.light.environment import Environment, radiance
 from arfx.stages.light.split_sum import table_entry
@@ -82,7 +81,7 @@ def sheen_lobe(roughness, n_v, n_l, v_l):  # pragma: no cover - compiled
     return n_l * squeezed * squeezed
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def add_sheen(
     out, surface: Surface, sheen, eye, lights: Lights, soft, bias
 ):  # pragma: no cover - compiled
@@ -122,7 +121,7 @@ def add_sheen(
                 out[y, x, c] = base + cover * (sheen[y, x, c] * light[c] + bias[c])
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def add_clear_coat(
     out,
     surface: Surface,

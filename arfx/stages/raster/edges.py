@@ -7,10 +7,10 @@ does not tell (cut-outs, parts that pass through each other) comes from neighbou
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from arfx.core.camera import Camera
+from arfx.core.compiled import kernel
 from arfx.core.numerics import EPS_DEPTH_M, divide
 from arfx.core.rect import Rect
 from arfx.core.scene_mesh import SceneMesh
@@ -93,7 +93,7 @@ def _points_along(
     return camera.distort(place[seen]) * focal + corner, depth[seen]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _add_jumps(mask, part, face_normal, view: View, face, depth):  # pragma: no cover
     """Mark both pixels of neighbours that differ in a way no marked edge between them explains.
 
@@ -128,7 +128,7 @@ def _add_jumps(mask, part, face_normal, view: View, face, depth):  # pragma: no 
                     mask[y, x], mask[v, u] = True, True
 
 
-@numba.njit(nogil=True, inline="always")
+@kernel(inline="always")
 def _towards(view, normal, y, x):  # pragma: no cover - compiled
     """How far a face's normal leans along the direction, z = 1, of a pixel."""
     row, column = y + np.uintp(1), x + np.uintp(1)

@@ -6,10 +6,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
-from arfx.core.compiled import FAST, line_kernel
+from arfx.core.compiled import FAST, kernel, line_kernel
 from arfx.core.vectors import cross, dot, scaled, shifted, vector
 from arfx.stages.raster.record import (
     ALBEDO,
@@ -70,14 +69,14 @@ class Hit(NamedTuple):
     facing: float
 
 
-@numba.njit(inline="always")
+@kernel(inline="always")
 def _in_world(rotation, x, y):  # pragma: no cover - compiled
     """Direction (x, y, 1) of the camera in world axes, float32. rotation : camera from world"""
     along = shifted(shifted(rotation[2], y, rotation[1]), x, rotation[0])
     return _F(along[0]), _F(along[1]), _F(along[2])
 
 
-@numba.njit(inline="always")
+@kernel(inline="always")
 def _hit(f, x, y, view, mesh):  # pragma: no cover - compiled
     """Where the ray x, y meets the plane of face f."""
     i, j, k = vertices_of(mesh.faces, f)
@@ -97,7 +96,7 @@ def _hit(f, x, y, view, mesh):  # pragma: no cover - compiled
     )
 
 
-@numba.njit(inline="always")
+@kernel(inline="always")
 def _along(uv, corners, first, growth, laid, side):  # pragma: no cover - compiled
     """(2,) how a place on a texture moves over a sample as the corners' weights grow.
 
@@ -111,7 +110,7 @@ def _along(uv, corners, first, growth, laid, side):  # pragma: no cover - compil
     return laid[0, 0] * u + laid[0, 1] * v, laid[1, 0] * u + laid[1, 1] * v
 
 
-@numba.njit(inline="always")
+@kernel(inline="always")
 def _apply_textures(f, p, hit, side, view, mesh, values):  # pragma: no cover - compiled
     """Multiply what is in `values` by the part's textures. side : of the sample, in pixels
 
@@ -148,14 +147,14 @@ def _apply_textures(f, p, hit, side, view, mesh, values):  # pragma: no cover - 
     return map_x, map_y, map_z
 
 
-@numba.njit(inline="always")
+@kernel(inline="always")
 def _multiply(values, first, a, b, c):  # pragma: no cover - compiled
     values[first] *= a
     values[first + 1] *= b
     values[first + 2] *= c
 
 
-@numba.njit(inline="always")
+@kernel(inline="always")
 def _apply_extra(
     slot, red, green, blue, alpha, strength, values
 ):  # pragma: no cover - compiled
@@ -172,7 +171,7 @@ def _apply_extra(
         values[SHEEN + 3] *= alpha
 
 
-@numba.njit(inline="always")
+@kernel(inline="always")
 def _interpolated(rows, f, hit, mesh):  # pragma: no cover - compiled
     """(3,) of rows (n, 3 or more) at a hit."""
     i, j, k = vertices_of(mesh.faces, f)
@@ -180,7 +179,7 @@ def _interpolated(rows, f, hit, mesh):  # pragma: no cover - compiled
     return shifted(shifted(scaled(a, rows[i]), b, rows[j]), c, rows[k])
 
 
-@numba.njit(inline="always")
+@kernel(inline="always")
 def _bent_normal(normal, shown, f, p, hit, mesh):  # pragma: no cover - compiled
     """(3,) the normal that a normal map shows, in world axes, any length.
 
@@ -195,7 +194,7 @@ def _bent_normal(normal, shown, f, p, hit, mesh):  # pragma: no cover - compiled
     return shifted(across, z, normal)
 
 
-@numba.njit(inline="always")
+@kernel(inline="always")
 def _write_normal(first, normal, hit, f, mesh, values):  # pragma: no cover - compiled
     """Write a normal: unit, towards the camera; the face's own where it has no length."""
     if hit.facing > 0:  # the back of a two-sided surface
@@ -212,7 +211,7 @@ def _write_normal(first, normal, hit, f, mesh, values):  # pragma: no cover - co
         values[first + c] = normal[c] / length
 
 
-@numba.njit(inline="always")
+@kernel(inline="always")
 def _write_surface(f, hit, side, view, mesh, values):  # pragma: no cover - compiled
     """Write what a hit shows into `values`; its opacity into the column COVERED.
 
@@ -278,7 +277,7 @@ def add_surfaces(
             sums[pixel, c] += weight * values[c]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def merged_by_face(face, x, y):  # pragma: no cover - compiled
     """Samples of a pixel that meet the same face as one ray, in their mean direction: what a face
     has is linear on it. face, x, y : (n, s)

@@ -5,17 +5,16 @@ apart."""
 # mypy: disable-error-code="no-untyped-def, call-arg, arg-type, assignment"
 from __future__ import annotations
 
-import numba
 import numpy as np
 
-from arfx.core.compiled import FAST, line_kernel
+from arfx.core.compiled import FAST, kernel, line_kernel
 from arfx.stages.raster import textures
 
 _F = np.float32
 _APART = 0.6  # texels between taps at least: farther apart, hard stripes show more than 1.3 levels
 
 
-@numba.njit(inline="always")
+@kernel(inline="always")
 def _wrapped(t, mode):  # pragma: no cover - compiled
     """A texture coordinate within 0..1."""
     if mode == textures.REPEATS:
@@ -25,7 +24,7 @@ def _wrapped(t, mode):  # pragma: no cover - compiled
     return abs(t - _F(2) * np.floor(_F(0.5) * t + _F(0.5)))
 
 
-@numba.njit(inline="always")
+@kernel(inline="always")
 def _between(texels, p, q, share):  # pragma: no cover - compiled
     """Four channels between texels p and q."""
     p0, p1, p2, p3 = (

@@ -13,10 +13,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from arfx.core.camera import Camera
+from arfx.core.compiled import kernel
 from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.rect import Rect
 from arfx.core.scene_mesh import SceneMesh
@@ -88,13 +88,13 @@ class RayFaces:
         return nearest
 
 
-@numba.njit(nogil=True, inline="always")
+@kernel(inline="always")
 def vertices_of(faces, f):  # pragma: no cover - compiled
     """Numbers of the three vertices of a face."""
     return np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
 
 
-@numba.njit(nogil=True, inline="always")
+@kernel(inline="always")
 def planes_of(points, i, j, k):  # pragma: no cover - compiled
     """Planes through the eye and the edges opposite to a, b and c, and the volume |a b c|, signed.
 
@@ -109,7 +109,7 @@ def planes_of(points, i, j, k):  # pragma: no cover - compiled
     return opposite_a, opposite_b, opposite_c, volume
 
 
-@numba.njit(nogil=True, inline="always")
+@kernel(inline="always")
 def _box(projection, i, j, k, height, width):  # pragma: no cover - compiled
     """Half-open x0 y0 x1 y1 of the pixels that a face may cover; a corner without a
     picture: all.
@@ -133,7 +133,7 @@ def _box(projection, i, j, k, height, width):  # pragma: no cover - compiled
     return int(x0), int(y0), int(x1), int(y1)
 
 
-@numba.njit(nogil=True, inline="always")
+@kernel(inline="always")
 def _meet_run(face, planes, near, x, y, first, last, prim, depth):  # pragma: no cover
     """Meet one face with the directions x, y [first:last]; prim, depth : the nearest so far."""
     (a0, a1, a2), (b0, b1, b2), (c0, c1, c2), volume = planes
@@ -152,7 +152,7 @@ def _meet_run(face, planes, near, x, y, first, last, prim, depth):  # pragma: no
                 depth[k], prim[k] = z, face
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def nearest_faces(projection: Projection, x, y):  # pragma: no cover - compiled
     """Per pixel the nearest face, -1 = none, int32, and its depth, float32, inf = none; (h, w).
 
@@ -173,7 +173,7 @@ def nearest_faces(projection: Projection, x, y):  # pragma: no cover - compiled
     return prim, depth
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def nearest_faces_at(projection: Projection, slot, x, y):  # pragma: no cover - compiled
     """The same for s samples of each of n pixels: (n, s).
 
@@ -199,7 +199,7 @@ def nearest_faces_at(projection: Projection, slot, x, y):  # pragma: no cover - 
     return prim, depth
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def depths_along(points, faces, face, x, y):  # pragma: no cover - compiled
     """Depth, float32, of known faces' planes along directions, (n,) each; inf where face is -1."""
     depth = np.full(len(face), np.inf, np.float32)

@@ -11,10 +11,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
-import numba
 import numpy as np
 
-from arfx.core.compiled import FAST
+from arfx.core.compiled import FAST, kernel
 from arfx.core.parallel import parallel_rows
 from arfx.stages.watercolor.labels import bucket_sites
 from arfx.stages.watercolor.sites import STEPS
@@ -48,7 +47,7 @@ def mean_colours(
     return colour.astype(np.float32), (total[:, 3] / len(labellings)).astype(np.float32)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _sum_rows(image, labels, first, last, total):  # pragma: no cover - compiled
     """total (count, 4) : sums of red, green, blue, pixels over rows first ... last - 1"""
     for y in range(first, last):
@@ -88,7 +87,7 @@ def neighbours(
     return near, weight
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _find_neighbours(
     sites, grid, first, last, near, weight
 ):  # pragma: no cover - compiled
@@ -160,7 +159,7 @@ def smooth_washes(
     return root
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _smooth_round(
     root, near, weight, confidence, how, out, first, last
 ):  # pragma: no cover - compiled

@@ -13,9 +13,9 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from arfx.core.compiled import kernel
 from arfx.core.parallel import parallel_rows
 from arfx.core.rect import Rect
 from arfx.stages.watercolor.label_kernels import (
@@ -160,7 +160,7 @@ def label(
     return Labels(first, second, inside, n)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def bucket_sites(sx, sy, x0, y0, side, rows, columns):  # pragma: no cover - compiled
     """(start (rows columns + 1), order (n,)) : sites by bucket, in each by number.
 
@@ -184,7 +184,7 @@ def bucket_sites(sx, sy, x0, y0, side, rows, columns):  # pragma: no cover - com
     return start, order
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _label_rows(
     buckets: Buckets, wobble: Wobble, blend, mask, corner, y_first, y_last, out
 ):  # pragma: no cover - compiled

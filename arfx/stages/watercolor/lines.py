@@ -10,11 +10,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import cv2
-import numba
 import numpy as np
 
 from arfx.core.colour import LUMA_COEFFICIENTS
-from arfx.core.compiled import FAST
+from arfx.core.compiled import FAST, kernel
 from arfx.core.numerics import divide, smoothstep
 from arfx.core.parallel import parallel_rows
 
@@ -94,7 +93,7 @@ def measure_edges(
     return edges
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _measure_rows(
     planes, channels, share, first, last, out
 ):  # pragma: no cover - compiled
@@ -200,7 +199,7 @@ def trace_lines(edges: Edges, low: float, high: float, width_px: float) -> np.nd
     return strength
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _trace_rows(
     edges, offset, low, high, first, last, out
 ):  # pragma: no cover - compiled
@@ -225,7 +224,7 @@ def _trace_rows(
                 out[y, x] = ridge * t * t * (three - _F(2) * t)
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _between(a, x, y):  # pragma: no cover - compiled
     """`a` at column x and row y, bilinear, its border beyond."""
     height, width = a.shape

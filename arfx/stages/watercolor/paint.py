@@ -6,10 +6,9 @@ Source: docs/methods/watercolor.md#pigment; pigment itself is in pigment.py."""
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
-from arfx.core.compiled import FAST
+from arfx.core.compiled import FAST, kernel
 from arfx.core.parallel import parallel_rows
 from arfx.stages.watercolor.label_kernels import SOLID
 from arfx.stages.watercolor.labels import Labels
@@ -52,7 +51,7 @@ def painted(
     return out
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _paint_rows(
     image, labels, cells, how, paper, corner, lines, first, last, out
 ):  # pragma: no cover - compiled
@@ -96,7 +95,7 @@ def _paint_rows(
                 out[y, x, c] = max(colour + line * (ink[c] - colour), zero)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
+@kernel(fastmath=FAST, error_model="numpy", inline="always")
 def _likeness(pixel, own, other, near):  # pragma: no cover - compiled
     """0..1: how much more a pixel is like the other cell's mean than its own cell's.
 

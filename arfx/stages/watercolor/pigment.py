@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-import numba
 import numpy as np
 
+from arfx.core.compiled import kernel
 from arfx.stages.watercolor.sites import STEPS
 
 PAPER_PX = 512  # side of the paper's texture, repeated
@@ -77,7 +77,7 @@ def turbulence(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _turbulence(u, v, seed, frequency):  # pragma: no cover - compiled
     out = np.zeros(u.shape[0], np.float32)
     for k in range(u.shape[0]):
@@ -106,7 +106,7 @@ def _turbulence(u, v, seed, frequency):  # pragma: no cover - compiled
     return out
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _lattice(seed, i, j, octave):  # pragma: no cover - compiled
     """-1..1 at a node of the noise (murmur finaliser)."""
     z = np.uint64(seed) + np.uint64(octave) * np.uint64(0x165667B19E3779F9)

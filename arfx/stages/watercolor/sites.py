@@ -14,9 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
-import numba
 import numpy as np
 
+from arfx.core.compiled import kernel
 from arfx.core.parallel import parallel_rows
 
 STEPS = 8  # sites lie on multiples of 1/8 px: squared distances below 500 px are exact in float32
@@ -104,7 +104,7 @@ def make_sites(field: SiteField, seed: int, limit: int, unit_px: float = 8.0) ->
     return Sites(*columns)
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _mixed(seed, level, i, j):  # pragma: no cover - compiled
     """64 random bits for a cell (splitmix64 finaliser)."""
     z = seed * np.uint64(0x9E3779B97F4A7C15) + np.uint64(level + 64) * np.uint64(
@@ -118,7 +118,7 @@ def _mixed(seed, level, i, j):  # pragma: no cover - compiled
     return z ^ (z >> np.uint64(31))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _importance(seed, level, i, j):  # pragma: no cover - compiled
     """(coarsest density, as a level, at which the site of a cell is still there; its topmost cell:
     level, i, j)."""
@@ -134,7 +134,7 @@ def _importance(seed, level, i, j):  # pragma: no cover - compiled
     return np.float64(_HIGHEST), level, i, j
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _refine(seed, level, i, j):  # pragma: no cover - compiled
     """(u, v) of a cell's site, in units: that of its chosen quarter, and so on to 2^-_FINE."""
     while level > -_FINE:
@@ -146,7 +146,7 @@ def _refine(seed, level, i, j):  # pragma: no cover - compiled
     return (i + 0.5) * fine, (j + 0.5) * fine
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel()
 def _enumerate(nodes, seed, limit, unit, row, end):  # pragma: no cover - compiled
     """All sites of the field's triangles in rows row ... end - 1 of quads, as columns of Sites.
 
@@ -219,7 +219,7 @@ def _enumerate(nodes, seed, limit, unit, row, end):  # pragma: no cover - compil
     return _columns(places, keys, n)
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _edges(u, v, half):  # pragma: no cover - compiled
     """(u, v) of both edges of a quad's triangle from its corner, and twice its area."""
     rest = 1 - half
@@ -228,7 +228,7 @@ def _edges(u, v, half):  # pragma: no cover - compiled
     return first, second, first[0] * second[1] - first[1] * second[0]
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(inline="always")
 def _columns(places, keys, n):  # pragma: no cover - compiled
     """The first n, in the order of Sites."""
     x, y, weight, u, v = places[:, :n].copy()
