@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import reduce
+from operator import getitem
 from typing import Any
 
-from arfx.config.sections import Setting, settings
+from pydantic import ValidationError
+
+from arfx.config.sections import JobConfig, Setting, settings
 from arfx.core.opener import parse_toml
 from arfx.errors import ConfigError
 
@@ -18,13 +22,25 @@ _MOST_PARTS = 8  # of a --set key: settings have two
 
 
 def overrides(options: Iterable[Given], texts: Sequence[str]) -> dict[str, Any]:
-    """All of it as one tree. texts : of --set, of which a later one wins
-    Raises ConfigError naming the words, also for an option and a --set that give one key."""
+    """All of it as one tree. texts : of --set
+    Raises ConfigError naming the words, also for an option and a --set that give one key
+    different values."""
     tree: dict[str, Any] = {}
-    for text in texts:
-        _set_value(tree, *parse_setting(text), f"--set {text}", again=True)
-    for option in options:
-        _set_value(tree, *option)
+    settings_given = [(*parse_setting(text), f"--set {text}") for text in texts]
+    for setting in settings_given:
+        _set_value(tree, *setting)
+    for path, value, words in options:
+        others = [
+            said for key, _, said in settings_given if key[: len(path)] == list(path)
+        ]
+        if others and _meaning(path, value) != _meaning(
+            path, reduce(getitem, path, tree)
+        ):
+            raise ConfigError(
+                f"{words} and {others[-1]} give different values to {'.'.join(path)}",
+                "give one of them",
+            )
+        _set_value(tree, path, value, words)
     return tree
 
 
@@ -55,10 +71,14 @@ def parse_setting(text: str) -> tuple[list[str], Any]:
     they parse as it, else text. Raises ConfigError."""
     key, equals, value = text.partition("=")
     parts = [p.strip() for p in key.split(".")]
-    if not equals or not all(parts) or not 2 <= len(parts) <= _MOST_PARTS:
+    if not equals or len(parts) < 2 or not all(parts):
         raise ConfigError(
             f"--set {_short(text)!r} is not STAGE.KEY=VALUE",
             "for example --set output.crf=20",
+        )
+    if len(parts) > _MOST_PARTS:
+        raise ConfigError(
+            f"--set {_short(text)!r}: a key of {len(parts)} parts", "STAGE.KEY=VALUE"
         )
     return parts, parse_value(value, f"--set {_short(text)}")
 
@@ -77,28 +97,29 @@ def _short(text: str) -> str:
     return text if len(text) <= 80 else f"{text[:80]}…"
 
 
-def _set_value(
-    tree: dict[str, Any],
-    path: Sequence[str],
-    value: Any,
-    words: str,
-    again: bool = False,
-) -> None:
-    """Put a value into nested tables. Raises ConfigError where there is one, or a table.
-
-    again : it may take another's place, but no table's
-    """
-    *tables, last = path
+def _set_value(tree: dict[str, Any], path: Sequence[str], value: Any, words: str) -> None:
+    """Put a value into nested tables. Raises ConfigError where the way is barred."""
     at: Any = tree
-    for table in tables:
-        at = at.setdefault(table, {}) if isinstance(at, dict) else at
-    if (
-        not isinstance(at, dict)
-        or isinstance(at.get(last), dict)
-        or (last in at and not again)
-    ):
+    for part in path[:-1]:
+        at = at.setdefault(part, {})
+        if not isinstance(at, dict):
+            raise ConfigError(
+                f"{words}: {part!r} was given a value of its own, it has no keys",
+                "give one of them",
+            )
+    if isinstance(at.get(path[-1]), dict):
         raise ConfigError(
-            f"{words}: a --set gives {'.'.join(path)}, or a part of it, already",
-            "give one of them",
+            f"{words}: keys of {path[-1]!r} were given values already", "give one of them"
         )
-    at[last] = value
+    at[path[-1]] = value
+
+
+def _meaning(path: Sequence[str], value: Any) -> Any:
+    """Equal for two ways to write a value of a job's key: 15cm and 0.15m."""
+    tree = value
+    for key in reversed(path):
+        tree = {key: tree}
+    try:
+        return JobConfig.model_validate(tree)
+    except ValidationError:
+        return str(value)  # errors in it are reported when the whole job is read
