@@ -70,7 +70,7 @@ def target_cpu() -> str:
 
 def kernel(**options: Any) -> Any:
     """`numba.njit` as all loops here want it: kept, without Python's lock, and without a
-    second entry point for C, which would take a third of the time to compile.
+    second entry point for C, which would take an eighth of the time to compile.
 
     options : more of njit"""
     return import_module("numba").njit(

@@ -163,6 +163,13 @@ def _write(path: Path, data: bytes) -> None:
         raise write_failed(path, e) from e
 
 
+# Of PyAV, of Pillow and of reading an EXR's header, on damaged files.
+_STUMBLES = (
+    *(av.error.FFmpegError, struct.error, LookupError, ValueError),
+    *(OSError, EOFError, RuntimeError, SyntaxError),
+)
+
+
 def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
     """As cv2.imdecode; of a depth map in an EXR the channel that holds it.
 
@@ -182,9 +189,7 @@ def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
         decoded: np.ndarray | None = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
         if decoded is not None:
             return decoded
-    except InputError:
-        raise
-    except Exception:  # whatever decoders stumble over
+    except (cv2.error, *_STUMBLES):
         pass
     what = "it is damaged, cut short, or of a variant that is not known"
     raise InputError(f"{kind} {path} cannot be read: {what}", "save it again")
