@@ -95,8 +95,9 @@ def analyse_clip(
     def joined(stretches: Stretches, run: Run) -> AnalysisPass:
         clip = replace(job, frames=stretches.frames)
         context = Context(clip, wanted, span, stretches)
-        done = _Pass(context, progress, folder, key, log)
-        return done.done(run, [] if times is None else times.pts)
+        observed = _Pass(context, progress, folder, key, log)
+        observed.observe(run)
+        return observed.analysed([] if times is None else times.pts)
 
     stretches, damaged = cut(span, times), reader.damaged
     try:
@@ -108,7 +109,7 @@ def analyse_clip(
 
 
 class _Pass:
-    """The stretches of a clip, joined in order as far as they are there."""
+    """The stretches of a clip, observed and joined."""
 
     def __init__(
         self,
@@ -118,133 +119,100 @@ class _Pass:
         key: str,
         log: WorkLog,
     ) -> None:
-        stretches = context.stretches
-        self.context, self.stretches = context, stretches
-        self.folder, self.key, self.log = folder, key, log
-        self.rows = ClipRows()
-        self.pts, self.keys = list[int](), list[int]()
-        self.before, self.ended, self.truncated = stretches.before, False, ""
-        self.seconds: Any = Counter()
-        self.walls, self.names = dict[str, float](), list[str]()
+        self.context, self.folder, self.key, self.log = context, folder, key, log
         self._progress, self._shown = progress, 0
-        self._next = 0  # the stretch that is joined next
-        self._ready = {
-            part.first for part in stretches.parts if self._path(part).exists()
-        }
+        self._seconds: Any = Counter()
         self._rows = {row["key"]: row for row in log.rows() if row["work"] == STRETCH}
 
-    def done(self, run: Run, stated: list[int]) -> AnalysisPass:
-        """stated : times of the clip's packets"""
-        folder, parts, frames = self.folder, self.stretches.parts, self.stretches.frames
+    def observe(self, run: Run) -> None:
+        """Leave a file of every stretch, but where there is one."""
+        folder, stretches = self.folder, self.context.stretches
         folder.stretches.mkdir(exist_ok=True)
         keep(folder, self.key, self.context)
-        waiting = {
-            part.first: part.last + 1 - part.first
-            for part in parts
-            if part.first not in self._ready
-        }
-        made_before = frames - sum(waiting.values())
-
-        def tasks() -> Iterator[Task]:
-            for part in parts:
-                if part.first in waiting:
-                    yield (
-                        str(folder.path),
-                        self.key,
-                        part.first,
-                        part.last,
-                        str(self._path(part)),
-                    )
-
-        with contextlib.ExitStack() as stack:
-            stack.callback(release)
-            self._join_ready()
-            results = run(
-                tasks(), len(waiting), frames, lambda n: self._tell(made_before + n)
-            )
-            for result in stack.enter_context(contextlib.closing(results)):
+        todo = [part for part in stretches.parts if not self._path(part).exists()]
+        before = stretches.frames - sum(part.last + 1 - part.first for part in todo)
+        tasks: Iterator[Task] = (
+            (str(folder.path), self.key, part.first, part.last, str(self._path(part)))
+            for part in todo
+        )
+        results = run(
+            tasks, len(todo), stretches.frames, lambda n: self._tell(before + n)
+        )
+        with contextlib.closing(results):
+            for result in results:
                 # not of one that was there already, though nobody had heard of it
                 if "seconds" in result:
                     self._note(result["file"], result)
-                self._ready.add(result["first"])
-                self._join_ready()
-        start = time.perf_counter()
-        if not self.pts:
-            raise self.context.span.nothing()
-        since_s, info = self.context.span.since_s, self.context.span.info
-        times = [since_s(t) for t in self.pts]
-        missing = missing_frames(
-            self.pts, stated, gaps="mov" not in info.container
-        )  # whose index says what a gap is
-        truncated = (self.truncated or self.stretches.truncated) if self.ended else None
-        if self.ended and not truncated and (lost := late_frames(self.pts, stated)):
-            truncated = (
-                f"{info.path}: the last frames cannot be decoded ({lost}); processed to the"
-                " last good frame"
-            )
-        span = (times, self.before, self.ended and not truncated)
-        analysis = analyse(self.rows, self.context.job, self.context.wanted, span)
-        self.seconds.update({"analyse": time.perf_counter() - start})
-        self.log.note(ANALYSIS, self.key, self.seconds, self.walls, stretches=self.names)
-        self._progress("analyse", len(self.pts), len(self.pts))
-        return AnalysisPass(
-            analysis,
-            self.pts,
-            self.keys,
-            truncated,
-            self.stretches.careful,
-            [(since_s(t), count) for t, count in missing],
-        )
 
-    def _join_ready(self) -> None:
-        """As far as the stretches are there."""
-        parts = self.stretches.parts
-        while self._next < len(parts) and parts[self._next].first in self._ready:
-            part = parts[self._next]
+    def analysed(self, stated: list[int]) -> AnalysisPass:
+        """What the stretches hold together. stated : times of the clip's packets"""
+        stretches, span = self.context.stretches, self.context.span
+        rows, names = ClipRows(), list[str]()
+        pts, keys = list[int](), list[int]()
+        before, end = stretches.before, StretchEnd(0, False, "")
+        for part in stretches.parts:
+            path, tables = self._path(part), self._tables(part)
             start = time.perf_counter()
-            tables, name, own_s = self._tables(part)
-            first = len(self.pts)
-            self.rows.add(tables, first - part.first)
-            frames = rows_of(tables[FRAMES], StretchFrame, first)
-            self.keys += [f.frame for f in frames if f.key]
-            self.pts += [f.pts for f in frames]
+            rows.add(tables, len(pts) - part.first)
+            frames = rows_of(tables[FRAMES], StretchFrame, len(pts))
+            keys += [f.frame for f in frames if f.key]
+            pts += [f.pts for f in frames]
             (end,) = rows_of(tables[END], StretchEnd)
-            self.before += end.before
-            self.ended, self.truncated = end.ended, end.truncated
-            self._next += 1
-            self.names.append(name)
-            if row := self._rows.get(name):
-                self.seconds.update(row["seconds"])
-                for process, wall_s in row["walls"].items():
-                    if process != self.log.process:
-                        self.walls[process] = max(self.walls.get(process, 0.0), wall_s)
-            self.seconds.update({"analyse": time.perf_counter() - start - own_s})
+            before += end.before
+            names.append(path.name)
+            self._seconds.update({"analyse": time.perf_counter() - start})
+        if not pts:
+            raise span.nothing()
+        start = time.perf_counter()
+        times = [span.since_s(t) for t in pts]
+        # an MP4's index says what a gap is
+        missing = missing_frames(pts, stated, gaps="mov" not in span.info.container)
+        truncated = (end.truncated or stretches.truncated) if end.ended else None
+        if end.ended and not truncated and (lost := late_frames(pts, stated)):
+            truncated = (
+                f"{span.info.path}: the last frames cannot be decoded ({lost}); processed"
+                " to the last good frame"
+            )
+        frame_span = (times, before, end.ended and not truncated)
+        analysis = analyse(rows, self.context.job, self.context.wanted, frame_span)
+        self._seconds.update({"analyse": time.perf_counter() - start})
+        self._log_analysis(names)
+        self._progress("analyse", len(pts), len(pts))
+        gaps = [(span.since_s(t), count) for t, count in missing]
+        return AnalysisPass(analysis, pts, keys, truncated, stretches.careful, gaps)
 
-    def _tables(self, part: Stretch) -> tuple[Tables, str, float]:
-        """(what a stretch shows, name of its file, seconds that it took to make it now).
+    def _log_analysis(self, names: list[str]) -> None:
+        """names : of the stretches' files"""
+        walls = dict[str, float]()
+        for row in (self._rows[name] for name in names if name in self._rows):
+            self._seconds.update(row["seconds"])
+            for process, wall_s in row["walls"].items():
+                if process != self.log.process:
+                    walls[process] = max(walls.get(process, 0.0), wall_s)
+        self.log.note(ANALYSIS, self.key, self._seconds, walls, stretches=names)
 
-        From its file, if that is whole.
-        """
+    def _tables(self, part: Stretch) -> Tables:
+        """Of a stretch's file; made now where that is not whole."""
         path = self._path(part)
         with contextlib.suppress(OSError, ValueError):
             tables = from_bytes(path.read_bytes())
             if END in tables:
-                return tables, path.name, 0.0
-        start = time.perf_counter()
-        tables, seconds = observe(self.context, part, self._tick, True)
+                return tables
+        try:
+            tables, seconds = observe(self.context, part, self._tick, True)
+        finally:
+            release()
         write(path, to_bytes(tables))
-        self._note(
-            path.name,
-            {"first": part.first, "last": part.last, "seconds": seconds, **who()},
-        )
-        return tables, path.name, time.perf_counter() - start
+        frames = {"first": part.first, "last": part.last}
+        self._note(path.name, {**frames, "seconds": seconds, **who()})
+        return tables
 
     def _path(self, part: Stretch) -> Path:
         name = digest(
             self.key,
             sorted(self.context.wanted),
             part.to_json(),
-            self.stretches.frames,
+            self.context.stretches.frames,
         )
         path: Path = self.folder.stretches / f"{part.first:06d}-{part.last:06d}.{name}"
         return path
@@ -259,7 +227,8 @@ class _Pass:
     def _tell(self, frames: int) -> None:
         """frames : that were analysed, counted as often as that happened"""
         self._shown = max(self._shown, frames)
-        expected = self.stretches.frames if self.stretches.parts[-1].last else None
+        stretches = self.context.stretches
+        expected = stretches.frames if stretches.parts[-1].last else None
         self._progress(
             "analyse",
             self._shown if expected is None else min(self._shown, expected),
