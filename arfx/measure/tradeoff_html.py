@@ -6,7 +6,7 @@ Tables, plots, pictures side by side with their error maps times eight.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +53,6 @@ def page(found: Measurements, document: Mapping[str, Any], quality: int = 90) ->
         effects=found.effects,
         pipelines=found.pipelines,
         quality=quality,
-        levels_in_words=levels_in_words,
         pipeline_plot=pipeline_plot,
         effect_plot=effect_plot,
         most_different=most_different,
@@ -61,15 +60,6 @@ def page(found: Measurements, document: Mapping[str, Any], quality: int = 90) ->
         delta_e_map=delta_e_map,
         times=TIMES,
         most_delta_e=MOST_DELTA_E,
-    )
-
-
-def levels_in_words(pipeline: Mapping[str, Any], effects: Collection[str]) -> str:
-    """Of these effects: the others have no choice."""
-    return ", ".join(
-        f"{stage} {level}"
-        for stage, level in pipeline["levels"].items()
-        if stage in effects
     )
 
 

@@ -6,15 +6,16 @@ from typing import Any
 
 import click
 
+from arfx.errors import counted
 from arfx_cli.console import (
     Progress,
-    emit_json,
     message_options,
     overwrite_option,
     print_table,
     result_of,
     say,
     tell,
+    wrote_json,
 )
 from arfx_cli.job_options import job_config, job_options, run_options
 
@@ -57,7 +58,7 @@ def _options() -> list[click.Parameter]:
 )
 @overwrite_option
 @message_options
-def command(inputs: tuple[str, ...], dry_run: bool, as_json: bool, **given: Any) -> None:
+def command(inputs: tuple[str, ...], dry_run: bool, **given: Any) -> None:
     """Process many clips: those of a table, of a folder, of a pattern such as
     'shots/*.mp4', or those that are named.
 
@@ -101,9 +102,7 @@ def command(inputs: tuple[str, ...], dry_run: bool, as_json: bool, **given: Any)
                 )
 
         document = (plan_batch if dry_run else run_batch)(jobs, options, started, ended)
-    if as_json:
-        emit_json(document)
-    else:
+    if not wrote_json(document):
         (_show_plans if dry_run else _show)(document)
     if not dry_run:
         say(f"summary: {(options.report or home_of(jobs)) / 'batch.html'}")
@@ -117,14 +116,10 @@ def _show(document: dict[str, Any]) -> None:
 
 
 def _show_plans(document: dict[str, Any]) -> None:
-    walls = [
-        ((r.get("plan") or {}).get("predicted") or {}).get("wall")
-        for r in document["jobs"]
-    ]
-    rows = [
-        (r["clip"], result_of(r), *_predicted(wall))
-        for r, wall in zip(document["jobs"], walls, strict=True)
-    ]
+    rows = []
+    for r in document["jobs"]:
+        predicted = (r.get("plan") or {}).get("predicted") or {}
+        rows.append((r["clip"], result_of(r), *_predicted(predicted.get("wall"))))
     total = ("all", "", *_predicted(document["predicted"]))
     print_table(
         _title(document),
@@ -135,15 +130,11 @@ def _show_plans(document: dict[str, Any]) -> None:
 
 
 def _title(document: dict[str, Any]) -> str:
-    count, failed = len(document["jobs"]), document["failed"]
-    return f"{count} clip{'s' * (count != 1)}, " + (
-        f"{failed} failed" if failed else "none failed"
-    )
+    clips = counted(len(document["jobs"]), "clips")
+    return f"{clips}, {document['failed'] or 'none'} failed"
 
 
 def _predicted(wall: dict[str, float] | None) -> tuple[str, str]:
-    return (
-        ("", "")
-        if wall is None
-        else (f"{wall['s']:.1f} s", f"{wall['low_s']:.1f} to {wall['high_s']:.1f} s")
-    )
+    if wall is None:
+        return "", ""
+    return f"{wall['s']:.1f} s", f"{wall['low_s']:.1f} to {wall['high_s']:.1f} s"

@@ -12,13 +12,12 @@ from arfx.core import interrupt
 from arfx.core.guard import Guard
 from arfx.core.naming import fixed_folder, has_field, named
 from arfx.core.opener import folder_entries
-from arfx.errors import ConfigError, InputError, explained, on_one_line
+from arfx.errors import ConfigError, InputError, counted, explained, on_one_line
 from arfx_cli.console import (
     FILE,
     FOLDER,
     Progress,
     detail,
-    emit_json,
     message_options,
     note,
     overwrite_option,
@@ -27,6 +26,7 @@ from arfx_cli.console import (
     result_of,
     say,
     tell,
+    wrote_json,
 )
 
 if TYPE_CHECKING:
@@ -87,7 +87,6 @@ def command(
     output: Path,
     report: Path | None,
     overwrite: bool,
-    as_json: bool,
 ) -> None:
     """Camera intrinsics from pictures or videos of a printed board, with a verdict: good,
     usable or poor.
@@ -124,32 +123,35 @@ def command(
         for path in camera.plots:
             guard.file(path, folder_made=several or report is not None)
     if not several:
-        found = _calibrate(cameras[0], spec, "")
-        if as_json:
-            emit_json(found)
+        wrote_json(_calibrate(cameras[0], spec, ""))
         return
     rows = []
     for k, camera in enumerate(cameras):
         of = f"{k + 1} of {len(cameras)}"
-        row: dict[str, Any] = {"input": str(camera.source), "output": str(camera.output)}
+        done, code = None, 0
         try:
             camera.output.parent.mkdir(parents=True, exist_ok=True)
             done = _calibrate(camera, spec, f"{of} {camera.source.name}")
-            row |= {"exit_code": 0, "message": done["verdict"], "calibration": done}
+            message = done["verdict"]
         except Exception as e:
             if interrupt.pending():
                 raise
             code, message = explained(e)
             message = on_one_line(message)
-            row |= {"exit_code": code, "message": message, "calibration": None}
             tell(f"{of} {camera.source}: error: {message}")
-        rows.append(row)
+        rows.append(
+            {
+                "input": str(camera.source),
+                "output": str(camera.output),
+                "exit_code": code,
+                "message": message,
+                "calibration": done,
+            }
+        )
     failed = sum(row["exit_code"] != 0 for row in rows)
-    if as_json:
-        emit_json({"cameras": rows, "failed": failed})
-    else:
+    if not wrote_json({"cameras": rows, "failed": failed}):
         print_table(
-            f"{len(rows)} camera{'s' * (len(rows) != 1)}, {failed or 'none'} failed",
+            f"{counted(len(rows), 'cameras')}, {failed or 'none'} failed",
             ("camera", "verdict", "output"),
             [(row["input"], result_of(row), row["output"]) for row in rows],
             words=3,
@@ -186,11 +188,13 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
     save_camera(camera.output, result.fitted.camera, **file_extras(result))
     d = document(result)
     known = d["standard_deviations"]
-    numbers = [*zip(known, result.fitted.values, known.values(), strict=True)]
-    tilts = result.seen.tilt_deg
     say(
         render(
-            "calibrate/summary.jinja", d=d, numbers=numbers, tilts=tilts, least=TILTED_DEG
+            "calibrate/summary.jinja",
+            d=d,
+            numbers=[*zip(known, result.fitted.values, known.values(), strict=True)],
+            tilts=result.seen.tilt_deg,
+            least=TILTED_DEG,
         )
     )
     for notice in found.notices * quiet():
@@ -204,9 +208,9 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
             f"{'*' if row['chosen'] else ' '} {row['model']}: held out"
             f" {row['held_out_rms_px']:.4f} px {row['rejected']}"
         )
-    say(f"wrote {camera.output}, {camera.plots[0]}, {camera.plots[1]}")
-    plots = [str(path) for path in camera.plots]
-    return d | {"output": str(camera.output), "plots": plots}
+    output, *plots = map(str, [camera.output, *camera.plots])
+    say(f"wrote {', '.join([output, *plots])}")
+    return d | {"output": output, "plots": plots}
 
 
 def _camera(
@@ -271,9 +275,9 @@ def _pictures_in(inputs: tuple[Path, ...]) -> list[Path]:
     for path in inputs:
         inside = _stills(path) if path.is_dir() else [path]
         if not inside:
+            supported = " ".join(sorted(STILLS))
             raise InputError(
-                f"folder {path} holds no pictures",
-                "supported: " + " ".join(sorted(STILLS)),
+                f"folder {path} holds no pictures", f"supported: {supported}"
             )
         out += inside
     return out
@@ -293,11 +297,8 @@ def _pictures(paths: list[Path]) -> Iterator[Picture]:
             yield from (Picture(*frame) for frame in _video(path, name))
             continue
         try:
-            yield Picture(
-                name,
-                decode_picture(path, "picture", cv2.IMREAD_GRAYSCALE),
-                exif_turn(path),
-            )
+            gray = decode_picture(path, "picture", cv2.IMREAD_GRAYSCALE)
+            yield Picture(name, gray, exif_turn(path))
         except InputError as e:
             yield Picture(name, e)
 

@@ -22,8 +22,7 @@ FOLDER = click.Path(path_type=Path, file_okay=False)
 overwrite_option = click.option(
     "--overwrite", is_flag=True, help="Replace existing outputs."
 )
-COMPILING = "compiling kernels for this processor, once"
-_PHASES = {"compile": COMPILING, **WAITS}
+_PHASES = {"compile": "compiling kernels for this processor, once", **WAITS}
 _OUTPUT = "arfx_cli.output"  # in the context of a command with --json: standard output
 _LEVEL = "arfx_cli.level"  # in the context of the running command: -1 quiet, 0, 1 verbose
 
@@ -38,43 +37,25 @@ def _set_level(context: click.Context, parameter: click.Parameter, given: bool) 
         )
 
 
-def _keep_output(context: click.Context, parameter: click.Parameter, given: bool) -> bool:
+def _keep_output(context: click.Context, _: click.Parameter, given: bool) -> None:
     """With --json, what plug-ins and libraries print goes to standard error while the
     command runs.
     """
     if given:
         context.meta[_OUTPUT] = sys.stdout
         context.with_resource(contextlib.redirect_stdout(sys.stderr))
-    return given
-
-
-def _level() -> int:
-    context = click.get_current_context(silent=True)
-    return context.meta.get(_LEVEL, 0) if context else 0
 
 
 def message_options(f: Callable[..., Any]) -> Callable[..., Any]:
     """What every command has: --json for its result, -v and -q for what it says beside that."""
-    level: dict[str, Any] = {
-        "is_flag": True,
-        "expose_value": False,
-        "callback": _set_level,
-    }
-    options = (
-        click.option(
-            "-q", "--quiet", help="Only warnings and errors on standard error.", **level
-        ),
-        click.option("-v", "--verbose", help="More detail on standard error.", **level),
-        click.option(
-            "--json",
-            "as_json",
-            is_flag=True,
-            callback=_keep_output,
-            help="One JSON document on standard output.",
-        ),
-    )
-    for option in options:
-        f = option(f)
+    for names, help, callback in (
+        (["-q", "--quiet"], "Only warnings and errors on standard error.", _set_level),
+        (["-v", "--verbose"], "More detail on standard error.", _set_level),
+        (["--json"], "One JSON document on standard output.", _keep_output),
+    ):
+        f = click.option(
+            *names, help=help, callback=callback, is_flag=True, expose_value=False
+        )(f)
     return f
 
 
@@ -96,6 +77,11 @@ def note(message: str) -> None:
     tell(f"note: {message}")
 
 
+def _level() -> int:
+    context = click.get_current_context(silent=True)
+    return context.meta.get(_LEVEL, 0) if context else 0
+
+
 def quiet() -> bool:
     """Whether --quiet asks for warnings and errors alone."""
     return _level() < 0
@@ -112,13 +98,16 @@ def detail(message: str) -> None:
         tell(f"  {message}")
 
 
-def emit_json(document: Any) -> None:
+def wrote_json(document: Any) -> bool:
+    """Whether --json asks for the result, which is then written."""
     from arfx.core.numerics import finite
 
-    context = click.get_current_context(silent=True)
-    output: Any = context.meta.get(_OUTPUT, sys.stdout) if context else sys.stdout
+    output = click.get_current_context().meta.get(_OUTPUT)
+    if output is None:
+        return False
     json.dump(finite(document), output, indent=1)
     output.write("\n")
+    return True
 
 
 def print_table(
@@ -148,6 +137,17 @@ def print_table(
     Console(highlight=False).print(table)
 
 
+def print_rendered_table(template: str, words: int = 1, **values: Any) -> None:
+    """A table as a template has it: its title, then the heads, then the rows, with a tab
+    between cells; an empty line is a line.
+    """
+    from arfx.run.pages import render
+
+    title, *lines = render(template, **values).splitlines()
+    heads, *rows = (line.split("\t") if line else () for line in lines)
+    print_table(title, heads, rows, words)
+
+
 def result_of(row: dict[str, Any]) -> str:
     """In words, of one of several inputs."""
     failed = f"exit {row['exit_code']}: " if row["exit_code"] else ""
@@ -163,9 +163,8 @@ class Progress:
     def __init__(self, unit: str = "frames") -> None:
         self._unit = unit
         self._quiet = quiet()
-        self._rich: Any = None
-        self._tasks: dict[str, Any] = {}
-        self._last: dict[str, int] = {}
+        self._bars: Any = None
+        self._shown: dict[str, Any] = {}  # phase -> its bar, or the tenth that was said
         self._title = ""
 
     def __enter__(self) -> Progress:
@@ -173,7 +172,7 @@ class Progress:
             from rich import progress
             from rich.console import Console
 
-            self._rich = progress.Progress(
+            self._bars = progress.Progress(
                 progress.TextColumn("{task.description}"),
                 progress.BarColumn(),
                 progress.MofNCompleteColumn(),
@@ -181,41 +180,37 @@ class Progress:
                 progress.TimeRemainingColumn(),
                 console=Console(stderr=True),
             )
-            self._rich.start()
+            self._bars.start()
         return self
 
     def __exit__(self, *exc: object) -> None:
-        if self._rich:
-            self._rich.stop()
+        if self._bars:
+            self._bars.stop()
 
     def begin(self, title: str) -> None:
         """The phases that follow are those of another piece of work, which is named before each."""
         self._title = f"{printable(title)}: "
-        for task in self._tasks.values():
-            self._rich.remove_task(task)
-        self._tasks.clear()
-        self._last.clear()
+        for bar in self._shown.values() if self._bars else ():
+            self._bars.remove_task(bar)
+        self._shown.clear()
 
     def __call__(self, phase: str, done: int, total: int | None) -> None:
         """Phase `phase` has finished `done` of `total` steps (None = not known)."""
         if self._quiet:
             return
-        if self._rich:
-            if phase not in self._tasks:
-                self._tasks[phase] = self._rich.add_task(
-                    self._title + _PHASES.get(phase, phase), total=total
-                )
-            self._rich.update(self._tasks[phase], completed=done, total=total)
+        words = self._title + _PHASES.get(phase, phase)
+        if self._bars:
+            if phase not in self._shown:
+                self._shown[phase] = self._bars.add_task(words, total=total)
+            self._bars.update(self._shown[phase], completed=done, total=total)
             return
-        tenth = done * 10 // total if total else done // (10 if phase in WAITS else 100)
-        if tenth != self._last.get(phase) and (done or total):
-            self._last[phase] = tenth
-            if phase == "compile":
-                say(f"{self._title}{COMPILING}: {done} of {total}")
-                return
-            unit = "seconds" if phase in WAITS else self._unit
+        waits = phase in WAITS
+        tenth = done * 10 // total if total else done // (10 if waits else 100)
+        if tenth != self._shown.get(phase) and (done or total):
+            self._shown[phase] = tenth
+            unit = "seconds" if waits else self._unit
             amount = f"{done}/{counted(total, unit)}" if total else counted(done, unit)
-            say(f"{self._title}{_PHASES.get(phase, phase)}: {amount}")
+            say(f"{words}: {f'{done} of {total}' if phase == 'compile' else amount}")
 
 
 def say_job(report: dict[str, Any]) -> None:

@@ -9,11 +9,11 @@ import click
 from arfx_cli.console import (
     FOLDER,
     Progress,
-    emit_json,
     message_options,
     note,
     overwrite_option,
     say_job,
+    wrote_json,
 )
 
 EFFECTS = ("dof",)  # of the demo's job
@@ -31,7 +31,7 @@ EFFECTS = ("dof",)  # of the demo's job
 )
 @overwrite_option
 @message_options
-def command(folder: Path, overwrite: bool, as_json: bool) -> None:
+def command(folder: Path, overwrite: bool) -> None:
     """Make a sample clip, put a model onto its marker, and write out.mp4, picture.png and a report.
 
     \b
@@ -95,11 +95,8 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
         "report": "report/report.html",
     }
     say_job(report)
-    if as_json:
-        emit_json(
-            {what.replace(" ", "_"): str(folder / name) for what, name in written.items()}
-            | {"job": report}
-        )
+    files = {what.replace(" ", "_"): str(folder / name) for what, name in written.items()}
+    if wrote_json(files | {"job": report}):
         return
     for what, name in written.items():
         click.echo(f"{what + ':':12} {folder / name}")

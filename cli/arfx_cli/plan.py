@@ -12,12 +12,12 @@ from arfx.errors import counted
 from arfx_cli.console import (
     Progress,
     detail,
-    emit_json,
     message_options,
     overwrite_option,
     print_table,
     say,
     verbose,
+    wrote_json,
 )
 from arfx_cli.job_options import job_config, job_options, run_options
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 @click.command(params=job_options())
 @overwrite_option
 @message_options
-def command(as_json: bool, **given: Any) -> None:
+def command(**given: Any) -> None:
     """Explain what `arfx process` with the same arguments would do to CLIP, with predicted
     time. Nothing is written.
 
@@ -46,10 +46,9 @@ def command(as_json: bool, **given: Any) -> None:
         with planned_aside(job_config(given), options) as job:
             document = plan_document(job)
     rows = document["stages"]
-    if as_json:
-        if verbose():
-            document["plans"] = [p.to_json() for p in job.plan.frames]
-        emit_json(document)
+    if verbose():
+        document["plans"] = [p.to_json() for p in job.plan.frames]
+    if wrote_json(document):
         return
     heads = ("stage", "level", "runs", "area", "predicted", "left out, and why")
     print_table(

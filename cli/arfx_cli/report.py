@@ -9,10 +9,10 @@ import click
 from arfx_cli.console import (
     FOLDER,
     detail_job,
-    emit_json,
     message_options,
     overwrite_option,
     say,
+    wrote_json,
 )
 
 
@@ -23,7 +23,7 @@ from arfx_cli.console import (
 )
 @overwrite_option
 @message_options
-def command(job_dir: Path, output: Path | None, overwrite: bool, as_json: bool) -> None:
+def command(job_dir: Path, output: Path | None, overwrite: bool) -> None:
     """Write report.json and report.html (one file, no outside links) of a finished job.
 
     JOBDIR is the folder that `arfx process --job JOBDIR` kept.
@@ -45,5 +45,4 @@ def command(job_dir: Path, output: Path | None, overwrite: bool, as_json: bool) 
         page = report_of_job(job_dir, folder)
     say(f"report: {page}")
     detail_job(report)
-    if as_json:
-        emit_json(report)
+    wrote_json(report)

@@ -14,12 +14,12 @@ from arfx_cli.console import (
     FOLDER,
     Progress,
     detail,
-    emit_json,
     message_options,
     note,
     overwrite_option,
     print_table,
     say,
+    wrote_json,
 )
 
 
@@ -42,9 +42,7 @@ from arfx_cli.console import (
 )
 @overwrite_option
 @message_options
-def command(
-    paper: str, folder: Path, short: bool, overwrite: bool, as_json: bool
-) -> None:
+def command(paper: str, folder: Path, short: bool, overwrite: bool) -> None:
     """Compute every equation, printed number and figure of the published methods, from
     scenes that are made for it.
 
@@ -80,8 +78,7 @@ def command(
                 )
     except JobInterruptedError:  # its message says that the job can be resumed
         raise KeyboardInterrupt from None
-    if as_json:
-        emit_json(document)
+    if wrote_json(document):
         return
     _show(document["rows"])
     for name in pages:

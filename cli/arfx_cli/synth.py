@@ -11,11 +11,11 @@ from arfx_cli.console import (
     FOLDER,
     Progress,
     detail_template,
-    emit_json,
     message_options,
     note,
     overwrite_option,
     say,
+    wrote_json,
 )
 
 
@@ -31,9 +31,7 @@ from arfx_cli.console import (
 )
 @overwrite_option
 @message_options
-def command(
-    scene: Path, folder: Path, kinds: str | None, overwrite: bool, as_json: bool
-) -> None:
+def command(scene: Path, folder: Path, kinds: str | None, overwrite: bool) -> None:
     """Render SCENE (a scene.toml, or the folder that holds one) into a folder.
 
     The folder holds the clip, camera.yaml, model.glb, job.toml (`arfx process --config`),
@@ -80,12 +78,11 @@ def command(
             f"next: arfx process --config {folder / 'job.toml'} -o {folder / 'out.mp4'}  "
             f" or   arfx verify {folder}"
         )
-    if as_json:
-        emit_json(
-            {
-                "folder": str(folder),
-                "frames": len(truth.frames),
-                "world": truth.world,
-                "files": files,
-            }
-        )
+    wrote_json(
+        {
+            "folder": str(folder),
+            "frames": len(truth.frames),
+            "world": truth.world,
+            "files": files,
+        }
+    )

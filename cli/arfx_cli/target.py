@@ -10,10 +10,10 @@ from arfx.core.guard import Guard
 from arfx_cli.console import (
     FILE,
     detail,
-    emit_json,
     message_options,
     overwrite_option,
     say,
+    wrote_json,
 )
 
 
@@ -37,7 +37,6 @@ def command(
     page: str,
     dpi: float,
     overwrite: bool,
-    as_json: bool,
 ) -> None:
     """A printable marker, sheet of markers or calibration board, true to scale, with its
     size and a ruler printed on it.
@@ -64,11 +63,10 @@ def command(
             f"{target}: {right - x:g} x {lower - y:g} mm of black, {x:.1f} mm from the left and"
             f" {y:.1f} mm from the top of the page"
         )
-    if as_json:
-        emit_json(
-            {
-                "output": str(output),
-                "page_mm": [sheet.width_mm, sheet.height_mm],
-                "targets": [str(t) for t in targets],
-            }
-        )
+    wrote_json(
+        {
+            "output": str(output),
+            "page_mm": [sheet.width_mm, sheet.height_mm],
+            "targets": [str(t) for t in targets],
+        }
+    )

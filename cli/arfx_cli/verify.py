@@ -13,9 +13,9 @@ from arfx_cli.console import (
     Progress,
     detail,
     detail_job,
-    emit_json,
     message_options,
     note,
+    wrote_json,
 )
 
 
@@ -34,7 +34,7 @@ from arfx_cli.console import (
     help="Worker processes.",
 )
 @message_options
-def command(folder: Path, keep: Path | None, workers: int, as_json: bool) -> None:
+def command(folder: Path, keep: Path | None, workers: int) -> None:
     """Run the synthetic scene in FOLDER and report errors against its truth.
 
     FOLDER is made by `arfx synth`, or a scene folder, which is rendered first. Exit code 5
@@ -66,9 +66,8 @@ def command(folder: Path, keep: Path | None, workers: int, as_json: bool) -> Non
             detail(
                 f"bound: {name} {'at most' if kind == 'max' else 'at least'} {bound:g}"
             )
-    if as_json:
-        emit_json({"folder": str(folder), "figures": done.figures, "broken": done.broken})
-    else:
+    document = {"folder": str(folder), "figures": done.figures, "broken": done.broken}
+    if not wrote_json(document):
         click.echo(render("measure/verify.jinja", f=done.figures), nl=False)
     if done.broken:
         raise ArfxError(
