@@ -101,10 +101,13 @@ class FrameRenderer:
     images: dict[Chain, np.ndarray] = field(default_factory=dict, init=False)
     seconds: dict[Chain, float] = field(default_factory=dict, init=False)
 
-    def chain(self, levels: Mapping[str, str]) -> Chain:
-        """levels : by stage; one that has none is left out"""
+    def chain(
+        self, levels: Mapping[str, str], stages: Mapping[str, Stage] | None = None
+    ) -> Chain:
+        """levels : by stage; one that has none is left out;  stages : None = the plan's"""
+        stages = stages or self.stages
         names = [s.stage for s in self.plan.steps if s.stage in levels]
-        return tuple((self.stages[name], levels[name]) for name in names)
+        return tuple((stages[name], levels[name]) for name in names)
 
     def run(self, chain: Chain) -> StageRun:
         """Its last step, upon those before it."""

@@ -26,7 +26,7 @@ from arfx.core.stage import Stage, level_named
 from arfx.core.waiting import Progress
 from arfx.errors import NothingToDoError
 from arfx.measure.difference import Difference, difference, mean_flicker, touched
-from arfx.measure.steps import Chain, FrameRenderer, open_frames, window_of
+from arfx.measure.steps import FrameRenderer, open_frames, window_of
 from arfx.measure.tradeoff_frames import Sample, pick_frames
 from arfx.measure.tradeoff_pipelines import (
     LEFT_OUT,
@@ -85,37 +85,31 @@ class _Work:
     def sampled(self) -> list[FrameRenderer]:
         return [self.frames[i] for i in self.samples]
 
-    def stages(self, names: Collection[str]) -> Mapping[str, Stage]:
+    def stages(
+        self, names: Collection[str], other: Mapping[str, Stage] = OWN
+    ) -> Mapping[str, Stage]:
         """Those of the job, or, where others of it are left out, those of a job without
-        them: they may have other settings then.
+        them: they may have other settings then. other : some in place of these
         """
-        own = self.job.stages
-        if self.usual.keys() <= set(names):
-            return own
-        key = frozenset(names)
+        own, key = self.job.stages, frozenset(names)
+        if self.usual.keys() <= key:
+            return {**own, **other}
         if key not in self.left:
             left = stages_of(self.job.inputs.config.params, [n for n in own if n in key])
             self.left[key] = {
                 n: own[n] if repr(vars(stage)) == repr(vars(own[n])) else stage
                 for n, stage in left.items()
             }
-        return self.left[key]
-
-    def chain(
-        self, frame: FrameRenderer, levels: Levels, other: Mapping[str, Stage] = OWN
-    ) -> Chain:
-        """other : stages in place of the job's own"""
-        stages = {**self.stages(levels), **other}
-        return tuple((stages[stage.name], at) for stage, at in frame.chain(levels))
+        return {**self.left[key], **other}
 
     def image(
         self, frame: FrameRenderer, levels: Levels, other: Mapping[str, Stage] = OWN
     ) -> np.ndarray:
-        return frame.image(self.chain(frame, levels, other))
+        return frame.image(frame.chain(levels, self.stages(levels, other)))
 
     def step_time(self, name: str, row: Row) -> Prediction:
         """Of one step of a frame, upon what those before it make at their usual level."""
-        stages, names = {**self.stages(row.levels), **row.other}, list(row.levels)
+        stages, names = self.stages(row.levels, row.other), list(row.levels)
         before = [
             fast(stages[n], level_named(stages[n].levels, self.usual[n]))
             for n in names[: names.index(name)]
@@ -131,11 +125,14 @@ class _Work:
         stages = {**self.job.stages, **other}
         return {n: level_named(stages[n].levels, at) for n, at in self.usual.items()}
 
-    def slow_chains(self, frame: FrameRenderer, sets: Iterable[Levels]) -> set[Chain]:
-        """The beginnings of these that end in a slow step."""
-        chains = [self.chain(frame, levels) for levels in sets]
+    def slow_s(self, frame: FrameRenderer, sets: Iterable[Levels]) -> np.ndarray:
+        """(2,) seconds by themselves, and for a pixel more, of the slow steps that these
+        levels take and that are not rendered yet.
+        """
+        chains = [frame.chain(levels, self.stages(levels)) for levels in sets]
         beginnings = {c[: k + 1] for c in chains for k in range(len(c))}
-        return {c for c in beginnings if self.times.is_slow(c)}
+        slow = filter(self.times.is_slow, beginnings - frame.rendered.keys())
+        return np.sum([(0, 0), *map(self.times.alone_and_per_px, slow)], axis=0)
 
 
 def measure(
@@ -178,8 +175,8 @@ def measure(
         progress("pipelines", len(effects), total)
         found.pipelines = _pipelines(work, found.effects)
     if other:
-        found.effects += [_of_other_formula(work, n, s) for n, s in other.items()]
-        found.pipelines.append(_other_pipeline(work, other))
+        found.effects += [_of_other_formula(work, {n: s}, n) for n, s in other.items()]
+        found.pipelines.append(_of_other_formula(work, other))
     found.prepare_s = work.sampled[0].prepared.prepare_s
     progress("pipelines", total, total)
     return found
@@ -225,8 +222,7 @@ def _choose_windows(work: _Work, sets: Sequence[Levels], window_px: int | None) 
     frames = work.frames
     area = float(MOST_PX if window_px is None else window_px)
     if window_px is None:
-        slow = [c for frame in frames.values() for c in work.slow_chains(frame, sets)]
-        alone, per_px = np.sum([(0, 0), *map(work.times.alone_and_per_px, slow)], axis=0)
+        alone, per_px = sum(work.slow_s(frame, sets) for frame in frames.values())
         area = min(area, max((REFERENCE_S - alone) / max(per_px, 1e-9), LEAST_PX))
     for i in frames:
         shown = frames[i - 1] if i == work.following else frames[i]
@@ -255,7 +251,8 @@ def _of_stage(work: _Work, name: str, found: Measurements) -> list[Row]:
         worst = max(levels[:-1], key=lambda r: r.by_frame[i].p99, default=None)
         if worst is not None:
             frame = work.frames[i]
-            coverage = frame.layer(work.chain(frame, chosen), Layer.COVERAGE)
+            chain = frame.chain(chosen, work.stages(chosen))
+            coverage = frame.layer(chain, Layer.COVERAGE)
             location = _location(worst.by_frame[i], coverage)
             found.locations.setdefault((name, worst.level), location)
     _measure_flicker(work, levels)
@@ -313,23 +310,21 @@ def _location(d: Difference, coverage: np.ndarray) -> str:
     return "on the object" if coverage[y, x] > 0.5 else "beside the object"
 
 
-def _of_other_formula(work: _Work, name: str, stage: Stage) -> Row:
-    """An effect under the other formula, at its usual level, against the job's own reference."""
-    other = {name: stage}
-    levels = work.usual_levels(other)
-    row = Row(name, levels[name], stage.params.formula, levels=levels, other=other)
-    _compare(work, [row], {**work.usual, name: work.best[name]}, name)
-    row.time = work.step_time(name, row)
-    return row
-
-
-def _other_pipeline(work: _Work, other: Mapping[str, Stage]) -> Row:
-    """The whole pipeline with every stage under the other formula."""
+def _of_other_formula(work: _Work, other: Mapping[str, Stage], effect: str = "") -> Row:
+    """An effect, or the whole pipeline, under the other formula, at usual levels, against
+    the job's own reference.
+    """
     formula = next(iter(other.values())).params.formula
     levels = work.usual_levels(other)
-    row = Row("pipeline", "usual", formula, levels=levels, other=other)
-    _compare(work, [row], work.best)
-    row.time = work.time(row)
+    row = (
+        Row(effect, levels[effect], formula)
+        if effect
+        else Row("pipeline", "usual", formula)
+    )
+    row.levels, row.other = levels, other
+    best = {**work.usual, effect: work.best[effect]} if effect else work.best
+    _compare(work, [row], best, effect)
+    row.time = work.step_time(effect, row) if effect else work.time(row)
     return row
 
 
@@ -347,11 +342,10 @@ def _pipelines(work: _Work, effects: Sequence[Row]) -> list[Row]:
     _compare(work, rows, work.best)
     mixed = []
     for levels in level_sets(effects, work.usual):
-        seconds = 0.0
-        for frame in work.sampled:
-            for chain in work.slow_chains(frame, [levels]) - frame.rendered.keys():
-                alone, per_px = work.times.alone_and_per_px(chain)
-                seconds += alone + per_px * frame.window.area
+        seconds = sum(
+            work.slow_s(frame, [levels]) @ (1, frame.window.area)
+            for frame in work.sampled
+        )
         if levels not in [r.levels for r in rows] and seconds <= left_s:
             left_s -= seconds
             mixed.append(Row("pipeline", "mixed", "", levels=levels))

@@ -7,10 +7,9 @@ from typing import Any
 import click
 
 from arfx.errors import counted
+from arfx_cli.command import TABLE, arfx_command
 from arfx_cli.console import (
     Progress,
-    message_options,
-    overwrite_option,
     print_table,
     result_of,
     say,
@@ -19,45 +18,16 @@ from arfx_cli.console import (
 )
 from arfx_cli.job_options import job_config, job_options, run_options
 
-_HELP = {
-    "output": (
-        "Where each clip goes: out/{stem}.mp4. {stem} is the clip's name without its"
-        " ending, {parent} its folder's."
-    ),
-    "report_dir": (
-        "Folder for batch.json, batch.html and a report of each job; default: batch.*"
-        " beside the outputs."
-    ),
-    "job_dir": "Folder for a job folder of each clip, kept afterwards; default OUT.job.",
-    "resume": (
-        "Do what is missing: go on with interrupted jobs, leave alone what was done under"
-        " the same settings."
-    ),
-}
-
 
 def _options() -> list[click.Parameter]:
     """Those of `process`, but for its one clip."""
-    options = [p for p in job_options() if p.name != "clip"]
+    options = [p for p in job_options() if isinstance(p, click.Option)]
     for option in options:
-        if isinstance(option, click.Option) and option.name in _HELP:
-            option.help = _HELP[option.name]
-    return [
-        click.Argument(
-            ["inputs"], metavar="MANIFEST|FOLDER|CLIP...", nargs=-1, required=True
-        ),
-        *options,
-    ]
+        option.help = TABLE["batch"]["words"].get(option.name, option.help)
+    return options
 
 
-@click.command(params=_options())
-@click.option(
-    "--dry-run",
-    is_flag=True,
-    help="Plan every clip, with the predicted time of all; render nothing.",
-)
-@overwrite_option
-@message_options
+@arfx_command("batch", *_options())
 def command(inputs: tuple[str, ...], dry_run: bool, **given: Any) -> None:
     """Process many clips: those of a table, of a folder, of a pattern such as
     'shots/*.mp4', or those that are named.

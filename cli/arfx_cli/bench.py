@@ -6,12 +6,10 @@ import re
 from pathlib import Path
 from typing import Any
 
-import click
-
+from arfx_cli.command import arfx_command
 from arfx_cli.console import (
     Progress,
     detail,
-    message_options,
     note,
     print_rendered_table,
     say,
@@ -29,35 +27,7 @@ def parse_size(text: str) -> tuple[int, int]:
     return int(m[1]), int(m[2])
 
 
-@click.command()
-@click.option("--stage", metavar="S", help="Only this stage.")
-@click.option(
-    "--level", metavar="L", help="Only this level: draft, standard, high, reference."
-)
-@click.option(
-    "--size",
-    "sizes",
-    metavar="WxH",
-    multiple=True,
-    default=["1280x720"],
-    show_default=True,
-    help="Picture size, repeatable.",
-)
-@click.option(
-    "--calibrate",
-    is_flag=True,
-    help=(
-        "Measure this machine's price list, or a --stage's prices in it, which `plan` and"
-        " --budget use; under a minute."
-    ),
-)
-@click.option(
-    "--tradeoff",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="A clip's errors, by `arfx tradeoff`.",
-)
-@message_options
+@arfx_command("bench")
 def command(
     stage: str | None,
     level: str | None,

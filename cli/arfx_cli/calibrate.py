@@ -13,14 +13,11 @@ from arfx.core.guard import Guard
 from arfx.core.naming import fixed_folder, has_field, named
 from arfx.core.opener import folder_entries
 from arfx.errors import ConfigError, InputError, counted, explained, on_one_line
+from arfx_cli.command import arfx_command
 from arfx_cli.console import (
-    FILE,
-    FOLDER,
     Progress,
     detail,
-    message_options,
     note,
-    overwrite_option,
     print_table,
     quiet,
     result_of,
@@ -53,34 +50,7 @@ class _Camera(NamedTuple):
     plots: list[Path]
 
 
-@click.command()
-@click.argument(
-    "inputs",
-    metavar="IMAGES|VIDEO|FOLDER...",
-    nargs=-1,
-    required=True,
-    type=click.Path(path_type=Path),
-)
-@click.option(
-    "--board",
-    required=True,
-    metavar="SPEC",
-    help="chessboard:9x6:25mm (inner corners) or charuco:12x8:18mm:14mm:5X5_100[:legacy].",
-)
-@click.option(
-    "-o",
-    "--output",
-    required=True,
-    type=FILE,
-    help="Camera file to write (YAML); with {stem}: one for each camera.",
-)
-@click.option(
-    "--report",
-    type=FOLDER,
-    help="Folder for residuals.png and coverage.png; default: beside -o.",
-)
-@overwrite_option
-@message_options
+@arfx_command("calibrate")
 def command(
     inputs: tuple[Path, ...],
     board: str,

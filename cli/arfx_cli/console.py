@@ -4,11 +4,9 @@ output, progress.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import sys
-from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import click
@@ -16,47 +14,9 @@ import click
 from arfx.core.opener import printable
 from arfx.core.waiting import WAITS
 from arfx.errors import counted
+from arfx_cli.command import LEVEL, OUTPUT
 
-FILE = click.Path(path_type=Path, dir_okay=False)
-FOLDER = click.Path(path_type=Path, file_okay=False)
-overwrite_option = click.option(
-    "--overwrite", is_flag=True, help="Replace existing outputs."
-)
 _PHASES = {"compile": "compiling kernels for this processor, once", **WAITS}
-_OUTPUT = "arfx_cli.output"  # in the context of a command with --json: standard output
-_LEVEL = "arfx_cli.level"  # in the context of the running command: -1 quiet, 0, 1 verbose
-
-
-def _set_level(context: click.Context, parameter: click.Parameter, given: bool) -> None:
-    if not given:
-        return
-    level = -1 if parameter.name == "quiet" else 1
-    if context.meta.setdefault(_LEVEL, level) != level:
-        raise click.UsageError(
-            "--verbose and --quiet contradict each other: give one of them", context
-        )
-
-
-def _keep_output(context: click.Context, _: click.Parameter, given: bool) -> None:
-    """With --json, what plug-ins and libraries print goes to standard error while the
-    command runs.
-    """
-    if given:
-        context.meta[_OUTPUT] = sys.stdout
-        context.with_resource(contextlib.redirect_stdout(sys.stderr))
-
-
-def message_options(f: Callable[..., Any]) -> Callable[..., Any]:
-    """What every command has: --json for its result, -v and -q for what it says beside that."""
-    for names, help, callback in (
-        (["-q", "--quiet"], "Only warnings and errors on standard error.", _set_level),
-        (["-v", "--verbose"], "More detail on standard error.", _set_level),
-        (["--json"], "One JSON document on standard output.", _keep_output),
-    ):
-        f = click.option(
-            *names, help=help, callback=callback, is_flag=True, expose_value=False
-        )(f)
-    return f
 
 
 def tell(message: str) -> None:
@@ -79,7 +39,7 @@ def note(message: str) -> None:
 
 def _level() -> int:
     context = click.get_current_context(silent=True)
-    return context.meta.get(_LEVEL, 0) if context else 0
+    return context.meta.get(LEVEL, 0) if context else 0
 
 
 def quiet() -> bool:
@@ -102,7 +62,7 @@ def wrote_json(document: Any) -> bool:
     """Whether --json asks for the result, which is then written."""
     from arfx.core.numerics import finite
 
-    output = click.get_current_context().meta.get(_OUTPUT)
+    output = click.get_current_context().meta.get(OUTPUT)
     if output is None:
         return False
     json.dump(finite(document), output, indent=1)

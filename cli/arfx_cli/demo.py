@@ -6,12 +6,10 @@ from pathlib import Path
 
 import click
 
+from arfx_cli.command import arfx_command
 from arfx_cli.console import (
-    FOLDER,
     Progress,
-    message_options,
     note,
-    overwrite_option,
     say_job,
     wrote_json,
 )
@@ -19,18 +17,7 @@ from arfx_cli.console import (
 EFFECTS = ("dof",)  # of the demo's job
 
 
-@click.command()
-@click.option(
-    "-o",
-    "--output",
-    "folder",
-    type=FOLDER,
-    default=Path("demo"),
-    show_default=True,
-    help="Folder for all that is made.",
-)
-@overwrite_option
-@message_options
+@arfx_command("demo")
 def command(folder: Path, overwrite: bool) -> None:
     """Make a sample clip, put a model onto its marker, and write out.mp4, picture.png and a report.
 

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import click
 
-from arfx_cli.console import detail, message_options, verbose, wrote_json
+from arfx_cli.command import arfx_command
+from arfx_cli.console import detail, verbose, wrote_json
 
 
-@click.command()
-@message_options
+@arfx_command("doctor")
 def command() -> None:
     """Check Python, packages, renderer back ends, codecs, cores, memory and disk; say the
     fix for what does not work.

@@ -7,31 +7,16 @@ from typing import Any
 
 import click
 
+from arfx_cli.command import arfx_command
 from arfx_cli.console import (
-    FILE,
     detail_template,
-    message_options,
     print_rendered_table,
     tell,
     wrote_json,
 )
 
 
-@click.command()
-@click.argument("clip", type=FILE)
-@click.option(
-    "--camera",
-    type=FILE,
-    help="Calibration file; with it the markers' tilt is shown too.",
-)
-@click.option(
-    "--samples",
-    type=click.IntRange(1, 1000),
-    default=24,
-    show_default=True,
-    help="Frames that are searched.",
-)
-@message_options
+@arfx_command("inspect")
 def command(clip: Path, camera: Path | None, samples: int) -> None:
     """Stream properties of CLIP, the markers in it, blur and light, and the `process`
     command that fits.

@@ -5,32 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 
-import click
+from arfx_cli.command import arfx_command
+from arfx_cli.console import print_rendered_table, wrote_json
 
-from arfx_cli.console import message_options, print_rendered_table, wrote_json
 
-
-@click.command()
-@click.option(
-    "--focal", required=True, metavar="LENGTH", help="Focal length, such as 50mm."
-)
-@click.option(
-    "--fnumber", required=True, type=float, metavar="N", help="F-number, such as 2.8."
-)
-@click.option(
-    "--distance",
-    required=True,
-    metavar="LENGTH",
-    help="Focus distance from the lens, such as 2.5m.",
-)
-@click.option(
-    "--coc",
-    default="0.03mm",
-    show_default=True,
-    metavar="LENGTH",
-    help="Diameter of the largest blur circle that passes as sharp.",
-)
-@message_options
+@arfx_command("lens")
 def command(focal: str, fnumber: float, distance: str, coc: str) -> None:
     """What a lens shows sharp: near and far limits around the focus distance, and the
     hyperfocal distance.

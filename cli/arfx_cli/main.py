@@ -21,43 +21,11 @@ from arfx.core import interrupt
 from arfx.core.machine import collect_seldom
 from arfx.core.opener import check_name
 from arfx.errors import JobInterruptedError, explained
+from arfx_cli.command import TABLE
 from arfx_cli.console import note, tell
 
 # command -> one-line help. Its module here, of that name, is imported only when it runs.
-COMMANDS = {
-    "demo": (
-        "Make a sample clip, process it, write out.mp4 and a report. No argument needed."
-    ),
-    "process": "Put a virtual model onto the marker of a clip: the main job.",
-    "batch": (
-        "Many clips, one job each: a table, folders or patterns; goes on past one that"
-        " fails."
-    ),
-    "plan": (
-        "Explain what `process` would do and leave out, with predicted time; renders"
-        " nothing."
-    ),
-    "tradeoff": (
-        "What accuracy costs on a clip: error and time of every level of every effect."
-    ),
-    "inspect": (
-        "Stream properties, markers found, coverage, blur; suggests the `process` command."
-    ),
-    "calibrate": "Camera intrinsics from pictures or video of a board, with a verdict.",
-    "target": "A printable marker, marker sheet or board, true to scale.",
-    "synth": "A synthetic clip with exact truth.",
-    "verify": "Run a synthetic scene and report errors against its truth.",
-    "reproduce": (
-        "Every equation, number and figure of the four papers, beside what arfx gives."
-    ),
-    "stages": "Every stage and every setting: what it does, its default, its levels.",
-    "report": "The report of a finished job.",
-    "lens": "Depth-of-field limits of a thin lens, as printed and corrected.",
-    "bench": "Cost of each stage and level on this machine.",
-    "doctor": (
-        "What works here: renderer back ends, codecs, cores; the fix for what does not."
-    ),
-}
+COMMANDS = {name: rows["help"] for name, rows in TABLE.items() if "help" in rows}
 EXIT_CODES = (
     "Exit codes: 0 done; 2 usage or configuration; 3 input cannot be read; 4 nothing to"
     " work on; 5 rendering failed; 6 one of several clips or cameras failed; 130"

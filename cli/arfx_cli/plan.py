@@ -6,14 +6,11 @@ import itertools
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from arfx.errors import counted
+from arfx_cli.command import arfx_command
 from arfx_cli.console import (
     Progress,
     detail,
-    message_options,
-    overwrite_option,
     print_table,
     say,
     verbose,
@@ -25,9 +22,7 @@ if TYPE_CHECKING:
     from arfx.core.plan import FramePlan
 
 
-@click.command(params=job_options())
-@overwrite_option
-@message_options
+@arfx_command("plan", *job_options())
 def command(**given: Any) -> None:
     """Explain what `arfx process` with the same arguments would do to CLIP, with predicted
     time. Nothing is written.

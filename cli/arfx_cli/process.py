@@ -5,12 +5,9 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-import click
-
+from arfx_cli.command import arfx_command
 from arfx_cli.console import (
     Progress,
-    message_options,
-    overwrite_option,
     say,
     say_job,
     wrote_json,
@@ -18,9 +15,7 @@ from arfx_cli.console import (
 from arfx_cli.job_options import job_config, job_options, run_options
 
 
-@click.command(params=job_options())
-@overwrite_option
-@message_options
+@arfx_command("process", *job_options())
 def command(**given: Any) -> None:
     """Put a virtual model onto the marker of CLIP.
 

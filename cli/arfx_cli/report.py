@@ -4,25 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import click
-
+from arfx_cli.command import arfx_command
 from arfx_cli.console import (
-    FOLDER,
     detail_job,
-    message_options,
-    overwrite_option,
     say,
     wrote_json,
 )
 
 
-@click.command()
-@click.argument("job_dir", metavar="JOBDIR", type=click.Path(path_type=Path))
-@click.option(
-    "-o", "--output", type=FOLDER, help="Folder of the report; default: beside JOBDIR."
-)
-@overwrite_option
-@message_options
+@arfx_command("report")
 def command(job_dir: Path, output: Path | None, overwrite: bool) -> None:
     """Write report.json and report.html (one file, no outside links) of a finished job.
 

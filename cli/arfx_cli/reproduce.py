@@ -8,40 +8,18 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-import click
-
+from arfx_cli.command import arfx_command
 from arfx_cli.console import (
-    FOLDER,
     Progress,
     detail,
-    message_options,
     note,
-    overwrite_option,
     print_table,
     say,
     wrote_json,
 )
 
 
-@click.command()
-@click.argument(
-    "paper", type=click.Choice(["s1", "s2", "s3", "s4", "all"]), default="all"
-)
-@click.option(
-    "-o",
-    "--output",
-    "folder",
-    required=True,
-    type=FOLDER,
-    help="Folder of the pages; made if need be.",
-)
-@click.option(
-    "--short",
-    is_flag=True,
-    help="Small pictures, few frames and repeats: for tests. Its times mean nothing.",
-)
-@overwrite_option
-@message_options
+@arfx_command("reproduce")
 def command(paper: str, folder: Path, short: bool, overwrite: bool) -> None:
     """Compute every equation, printed number and figure of the published methods, from
     scenes that are made for it.

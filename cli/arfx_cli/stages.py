@@ -6,12 +6,11 @@ import sys
 
 import click
 
-from arfx_cli.console import message_options, wrote_json
+from arfx_cli.command import arfx_command
+from arfx_cli.console import wrote_json
 
 
-@click.command()
-@click.argument("name", metavar="[NAME]", required=False)
-@message_options
+@arfx_command("stages")
 def command(name: str | None) -> None:
     """List the stages in running order; with NAME, one of them or one section of a job
     file: what it does, what it reads and writes, its levels with their errors and prices,

@@ -5,32 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import click
-
+from arfx_cli.command import arfx_command
 from arfx_cli.console import (
-    FOLDER,
     Progress,
     detail_template,
-    message_options,
     note,
-    overwrite_option,
     say,
     wrote_json,
 )
 
 
-@click.command()
-@click.argument("scene", type=click.Path(path_type=Path))
-@click.option(
-    "-o", "--output", "folder", required=True, type=FOLDER, help="Folder to make."
-)
-@click.option(
-    "--truth",
-    "kinds",
-    help="Pictures of truth to write: depth,mask,flow or none; default as the scene says.",
-)
-@overwrite_option
-@message_options
+@arfx_command("synth")
 def command(scene: Path, folder: Path, kinds: str | None, overwrite: bool) -> None:
     """Render SCENE (a scene.toml, or the folder that holds one) into a folder.
 

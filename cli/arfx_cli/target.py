@@ -4,33 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import click
-
 from arfx.core.guard import Guard
+from arfx_cli.command import arfx_command
 from arfx_cli.console import (
-    FILE,
     detail,
-    message_options,
-    overwrite_option,
     say,
     wrote_json,
 )
 
 
-@click.command()
-@click.argument("specs", metavar="SPEC...", nargs=-1, required=True)
-@click.option(
-    "-o", "--output", required=True, type=FILE, help="File to write: .pdf, .svg or .png."
-)
-@click.option(
-    "--page",
-    default="a4",
-    show_default=True,
-    help="a0 to a5, letter, legal, tabloid, or a size such as 300mmx400mm.",
-)
-@click.option("--dpi", default=300.0, show_default=True, help="Resolution of a PNG.")
-@overwrite_option
-@message_options
+@arfx_command("target")
 def command(
     specs: tuple[str, ...],
     output: Path,

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from arfx_cli.command import arfx_command
 from arfx_cli.console import (
     Progress,
-    message_options,
-    overwrite_option,
     print_rendered_table,
     say,
     wrote_json,
@@ -22,16 +21,7 @@ if TYPE_CHECKING:
     from arfx.run.inputs import Inputs
 
 
-@click.command(params=job_options())
-@click.option(
-    "--frames",
-    type=click.IntRange(1, 24),
-    default=2,
-    show_default=True,
-    help="How many frames stand for the clip.",
-)
-@overwrite_option
-@message_options
+@arfx_command("tradeoff", *job_options())
 def command(frames: int, **given: Any) -> None:
     """Measure what accuracy costs on CLIP: every level of every effect against its
     reference, and whole pipelines.

@@ -8,32 +8,17 @@ from pathlib import Path
 
 import click
 
+from arfx_cli.command import arfx_command
 from arfx_cli.console import (
-    FOLDER,
     Progress,
     detail,
     detail_job,
-    message_options,
     note,
     wrote_json,
 )
 
 
-@click.command()
-@click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
-@click.option(
-    "--keep",
-    type=FOLDER,
-    help="Folder for the clip, the output and the job; default temporary.",
-)
-@click.option(
-    "--workers",
-    type=click.IntRange(1),
-    default=1,
-    show_default=True,
-    help="Worker processes.",
-)
-@message_options
+@arfx_command("verify")
 def command(folder: Path, keep: Path | None, workers: int) -> None:
     """Run the synthetic scene in FOLDER and report errors against its truth.
 
