@@ -16,6 +16,7 @@ from arfx.core.cost import Prediction
 from arfx.errors import RenderError
 from arfx.measure.difference import delta_e
 from arfx.measure.plots import INK, PREDICTED, RAW, SMOOTH, drawing, png
+from arfx.measure.report import write_json
 from arfx.measure.tradeoff import Measurements
 from arfx.measure.tradeoff_pipelines import LEFT_OUT, QUALITIES, Row, front
 from arfx.run.folder import write
@@ -29,9 +30,10 @@ MOST_BYTES = 5_000_000
 def write_tradeoff(
     folder: Path, found: Measurements, document: Mapping[str, Any]
 ) -> Path:
-    """Write tradeoff.html into `folder`; at most MOST_BYTES: pictures are coded coarser
-    until it fits. Returns its path.
+    """Write tradeoff.json and tradeoff.html into `folder`; the page has at most MOST_BYTES:
+    pictures are coded coarser until it fits. Returns its path.
     """
+    write_json(folder / "tradeoff.json", document)
     for quality in (90, 75, 55, 30):
         html = page(found, document, quality)
         if len(html.encode()) <= MOST_BYTES:

@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from arfx.analyse.pose.planar import both_poses
 from arfx.config.load import load
 from arfx.core import interrupt
 from arfx.core.camera import Camera
@@ -82,26 +83,15 @@ def verify(
             f"{made}: the scene has no configured marker, there is no pose to verify"
         )
     bounds = read_tolerance(folder).get("truth", {})
-    output = (
-        work / "out.mkv"
-    )  # lossless, so that what is judged does not depend on an encoder's settings
-    config = load(
-        made / "job.toml",
-        {"output": {"path": str(output), "codec": "ffv1"}},
-        parameters(),
-    )
-    report = process(
-        config,
-        Options(
-            work / "job",
-            overwrite=True,
-            workers=workers,
-            progress=progress,
-            notice=notice,
-        ),
-    )
-    interrupt.resume()
+    # lossless, so that what is judged does not depend on an encoder's settings
+    output = {"path": str(work / "out.mkv"), "codec": "ffv1"}
+    config = load(made / "job.toml", {"output": output}, parameters())
     job = JobFolder(work / "job")
+    options = Options(
+        job.path, overwrite=True, workers=workers, progress=progress, notice=notice
+    )
+    report = process(config, options)
+    interrupt.resume()
     facts = list(read_facts(job.facts))
     if len(facts) != len(truth.frames):
         raise InputError(
@@ -124,7 +114,7 @@ def verify(
         abs(f.time_s - t.time_s) for f, t in zip(facts, truth.frames, strict=True)
     )
     limits = {k: v for k, v in bounds.items() if k in ("max", "min", "is")}
-    return Verified(figures, exceeded(figures, limits), output, report)
+    return Verified(figures, exceeded(figures, limits), work / "out.mkv", report)
 
 
 def read_tolerance(folder: Path) -> dict[str, Any]:
@@ -162,21 +152,9 @@ def _pose(
     marker: MarkerSpec,
 ) -> Pose | None:
     corners, ids, _ = detector.detectMarkers(luma)
-    for found, number in zip(
-        corners, [] if ids is None else np.asarray(ids).ravel(), strict=False
-    ):
-        if number != marker.id:
-            continue
-        points = np.asarray(found, float).reshape(4, 2)
-        ok, rotations, translations, _ = cv2.solvePnPGeneric(
-            marker.corners_m,
-            camera.normalised(points),
-            np.eye(3),
-            None,
-            flags=cv2.SOLVEPNP_IPPE_SQUARE,
-        )
-        if ok:
-            return Pose.from_rotvec(
-                np.asarray(rotations[0]).ravel(), np.asarray(translations[0]).ravel()
-            )
+    for found, number in zip(corners, [] if ids is None else ids.ravel(), strict=False):
+        points = camera.normalised(found.reshape(4, 2).astype(float))
+        poses = both_poses(marker.corners_m, points)
+        if number == marker.id and len(poses):
+            return Pose.from_rotvec(*poses[0])
     return None

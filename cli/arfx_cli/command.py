@@ -8,14 +8,15 @@ import contextlib
 import sys
 import tomllib
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import click
 
+from arfx_cli.console import LEVEL, OUTPUT, note
+
 TABLE = tomllib.loads(Path(__file__).with_name("commands.toml").read_text("utf-8"))
-OUTPUT = "arfx_cli.output"  # in the context of a command with --json: standard output
-LEVEL = "arfx_cli.level"  # in the context of the running command: -1 quiet, 0, 1 verbose
 _KINDS: dict[str, click.ParamType] = {
     "file": click.Path(path_type=Path, dir_okay=False),
     "folder": click.Path(path_type=Path, file_okay=False),
@@ -27,6 +28,23 @@ _KINDS: dict[str, click.ParamType] = {
 
 class Command(click.Command):
     """With --json, what plug-ins and libraries print goes to standard error while it runs."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Of an option that takes one value click uses the last, and drops others in silence."""
+        used, _, order = self.make_parser(ctx).parse_args([*args])
+        words = [part for w in args for part in w.split("=", w.startswith("--"))]
+        for option in {p for p in order if isinstance(p, click.Option)}:
+            count, last = order.count(option), used.get(option.name)
+            if count < 2 or option.multiple or option.is_flag:
+                continue
+            values = [value for w, value in pairwise([*words, ""]) if w in option.opts]
+            lost = "".join(f", not {value}" for value in values if value != last)
+            if lost or len(values) < count:  # those of -oNAME
+                note(
+                    f"{option.opts[-1]} takes one value and is given {count}: {last} is"
+                    f" used{lost}"
+                )
+        return super().parse_args(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
         quiet, verbose, as_json = map(ctx.params.pop, ("quiet", "verbose", "json"))

@@ -14,8 +14,9 @@ import click
 from arfx.core.opener import printable
 from arfx.core.waiting import WAITS
 from arfx.errors import counted
-from arfx_cli.command import LEVEL, OUTPUT
 
+OUTPUT = "arfx_cli.output"  # in the context of a command with --json: standard output
+LEVEL = "arfx_cli.level"  # in the context of the running command: -1 quiet, 0, 1 verbose
 _PHASES = {"compile": "compiling kernels for this processor, once", **WAITS}
 
 

@@ -10,7 +10,6 @@ import io
 import os
 import sys
 from collections.abc import Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ from arfx.core.machine import collect_seldom
 from arfx.core.opener import check_name
 from arfx.errors import JobInterruptedError, explained
 from arfx_cli.command import TABLE
-from arfx_cli.console import note, tell
+from arfx_cli.console import tell
 
 # command -> one-line help. Its module here, of that name, is imported only when it runs.
 COMMANDS = {name: rows["help"] for name, rows in TABLE.items() if "help" in rows}
@@ -49,38 +48,9 @@ class LazyGroup(click.Group):
             command: click.Command = module.command
         return command
 
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        name, command, rest = super().resolve_command(ctx, args)
-        if command is not None:
-            _note_repeats(click.Context(command, ctx, name), rest)
-        return name, command, rest
-
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
             formatter.write_dl([*COMMANDS.items()])
-
-
-def _note_repeats(context: click.Context, arguments: Sequence[str]) -> None:
-    """Of an option that takes one value click uses the last, and drops others in silence."""
-    try:
-        used, _, order = context.command.make_parser(context).parse_args([*arguments])
-    except click.UsageError:  # which the command itself raises, with its usage
-        return
-    words = [
-        part for word in arguments for part in word.split("=", word.startswith("--"))
-    ]
-    for option in {p for p in order if isinstance(p, click.Option)}:
-        count, last = order.count(option), used.get(option.name)
-        if count < 2 or option.multiple or option.is_flag:
-            continue
-        values = [given for word, given in pairwise([*words, ""]) if word in option.opts]
-        lost = "".join(f", not {value}" for value in values if value != last)
-        if lost or len(values) < count:  # those of -oNAME
-            note(
-                f"{option.opts[-1]} takes one value and is given {count}: {last} is used{lost}"
-            )
 
 
 @click.group(

@@ -34,14 +34,11 @@ def command(frames: int, **given: Any) -> None:
     Example:
       arfx tradeoff clip.mp4 --camera camera.yaml --marker 36h11:3:165mm --model duck.glb \\
         --fit 15cm --pipeline lightmap,dof --report costs"""
-    import json
-
     from arfx.core.guard import Guard
     from arfx.core.numerics import finite
     from arfx.measure.tradeoff import measure
     from arfx.measure.tradeoff_html import document, write_tradeoff
     from arfx.run.aside import planned_aside
-    from arfx.run.folder import write
     from arfx.run.place import PAGE_START, files_locked, files_read
 
     def check(inputs: Inputs) -> None:
@@ -62,10 +59,6 @@ def command(frames: int, **given: Any) -> None:
                 found = measure(job, frames, progress)
         measured = finite(document(found, job, time.perf_counter() - began))
         if folder is not None:
-            write(
-                folder / "tradeoff.json",
-                json.dumps(measured, indent=1, allow_nan=False) + "\n",
-            )
             say(f"report: {write_tradeoff(folder, found, measured)}")
     if wrote_json(measured):
         return
