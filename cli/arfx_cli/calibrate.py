@@ -81,11 +81,10 @@ def command(
                 f"{path} does not exist", "give images or videos of the board"
             )
     several = has_field(output)
-    cameras = (
-        _several(inputs, output, report)
-        if several
-        else [_camera(inputs[0], _pictures_in(inputs), output, report)]
-    )
+    if several:
+        cameras = _several(inputs, output, report)
+    else:
+        cameras = [_camera(inputs[0], _pictures_in(inputs), output, report)]
     read = (("picture", path) for camera in cameras for path in camera.paths)
     guard = Guard(read, overwrite)
     for camera in cameras:
@@ -197,7 +196,7 @@ def _several(
 ) -> list[_Camera]:
     """One camera for each argument, or for what is in a folder that holds no pictures itself."""
     # plots of an earlier run are there
-    own = {p.resolve() for p in (fixed_folder(pattern), report) if p is not None}
+    own = {p.resolve() for p in (fixed_folder(pattern), report) if p}
     out: dict[Path, _Camera] = {}
     for path in inputs:
         sources = [path] if not path.is_dir() or _stills(path) else _cameras_in(path)
@@ -210,7 +209,7 @@ def _several(
                     f"{out[file].source} and {source} go to one output, {file}",
                     "{stem} and {parent} keep them apart",
                 )
-            plots = None if report is None else report / file.stem
+            plots = report and report / file.stem
             out[file] = _camera(source, _pictures_in((source,)), file, plots)
     return list(out.values())
 
@@ -222,15 +221,11 @@ def _stills(folder: Path) -> list[Path]:
 def _cameras_in(folder: Path) -> list[Path]:
     from arfx.media.codecs import CLIP_SUFFIXES
 
-    found = [
-        p
-        for p in folder_entries(folder)
-        if (
-            _stills(p)
-            if p.is_dir()
-            else p.is_file() and p.suffix.lower() in CLIP_SUFFIXES
-        )
-    ]
+    found = []
+    for p in folder_entries(folder):
+        video = p.is_file() and p.suffix.lower() in CLIP_SUFFIXES
+        if video or (p.is_dir() and _stills(p)):
+            found.append(p)
     if not found:
         raise InputError(
             f"folder {folder} holds no pictures, no folders of pictures and no videos",
@@ -283,9 +278,8 @@ def _video(path: Path, name: str) -> Iterator[tuple[str, np.ndarray]]:
     info = probe(path)
     for notice in info.notices:
         note(f"{path}: {notice}")
-    expected = (
-        info.frame_count_stated or int((info.duration_s or 0) * (info.fps or 30)) or 1000
-    )
+    length = int((info.duration_s or 0) * (info.fps or 30))
+    expected = info.frame_count_stated or length or 1000
     with ClipReader(info) as reader:
         frames = (
             (f"{name}@{f.time_s:.3f}s", np.ascontiguousarray(f.luma()))

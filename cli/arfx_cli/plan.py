@@ -6,12 +6,11 @@ import itertools
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from arfx.errors import counted
 from arfx_cli.command import arfx_command
 from arfx_cli.console import (
     Progress,
     detail,
-    print_table,
+    print_rendered_table,
     say,
     verbose,
     wrote_json,
@@ -45,14 +44,9 @@ def command(**given: Any) -> None:
         document["plans"] = [p.to_json() for p in job.plan.frames]
     if wrote_json(document):
         return
-    heads = ("stage", "level", "runs", "area", "predicted", "left out, and why")
-    print_table(
-        f"plan of {counted(len(job.plan.frames), 'frames')}",
-        heads,
-        map(_cells, rows),
-        words=2,
-    )
-    for line in frame_by_frame(job.plan.frames):
+    frames = job.plan.frames
+    print_rendered_table("plan/plan_table.jinja", words=2, rows=rows, frames=len(frames))
+    for line in frame_by_frame(frames):
         detail(line)
     say(size_in_words(document["model"]))
     unpriced = [r["name"] for r in rows if r["predicted_s"] is None]
@@ -60,28 +54,10 @@ def command(**given: Any) -> None:
         "plan/plan_lines.jinja",
         levels=job.plan.levels,
         predicted=job.plan.predicted,
-        frames=len(job.plan.frames),
+        frames=len(frames),
         unknown="; ".join(without_price(unpriced)) if unpriced else "",
     )
     say(text.rstrip())
-
-
-def _cells(row: dict[str, Any]) -> Sequence[str]:
-    predicted, between = (
-        "unknown" if row["predicted_s"] is None else f"{row['predicted_s']:.2f} s",
-        row["predicted_between_s"],
-    )
-    if between is not None and row["frames_run"]:
-        predicted += f" ({between[0]:.2g}–{between[1]:.2g})"
-    why = "\n".join(f"{n} × {text}" for text, n in row["reasons"].items())
-    return (
-        row["name"],
-        ", ".join(row["levels"]),
-        str(row["frames_run"]),
-        f"{row['area_fraction']:.1%}",
-        predicted,
-        why,
-    )
 
 
 def frame_by_frame(plans: Sequence[FramePlan]) -> Iterator[str]:
