@@ -13,7 +13,7 @@ import json
 import time
 import tomllib
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -192,29 +192,21 @@ def _time_scene(
         if sum(prepared.seconds) < PREPARE_S:
             prepare = partial(cell.frame.prepared.at, cell.stage, cell.level)
             prepared.add(cell.terms(), watch.of(prepare))
-        if slow:
-            _time_slow(cell, runs, watch)
-        else:
-            alone += _time_fast(cell, at, runs, watch)
+        once = [term for term in cell.stage.terms if term.startswith("new_")]
+        if not slow:
+            alone += _time_fast(cell, at, once, runs, watch)
+            continue
+        # seconds long: what loading it takes hardly shows
+        for new in [once, []] if once else [[]]:
+            runs.add({**cell.terms(), **dict.fromkeys(new, 1.0)}, watch.of(cell.render))
     return alone
 
 
-def _once(cell: Cell) -> list[str]:
-    """Terms of what is done once for a new light."""
-    return [term for term in cell.stage.terms if term.startswith("new_")]
-
-
-def _time_slow(cell: Cell, runs: Runs, watch: Stopwatch) -> None:
-    """Seconds long: what loading it takes hardly shows."""
-    once = _once(cell)
-    for new in [once, []] if once else [[]]:
-        runs.add({**cell.terms(), **dict.fromkeys(new, 1.0)}, watch.of(cell.render))
-
-
-def _time_fast(cell: Cell, at: BenchScene, runs: Runs, watch: Stopwatch) -> list[float]:
-    """Returns as `_time_scene`."""
-    terms, new, alone = cell.terms(), _once(cell), []
-    perturbed = _perturbed_light(at)
+def _time_fast(
+    cell: Cell, at: BenchScene, once: Sequence[str], runs: Runs, watch: Stopwatch
+) -> list[float]:
+    """once : terms of what is done once for a new light. Returns as `_time_scene`."""
+    terms, alone, perturbed = cell.terms(), [], _perturbed_light(at)
 
     def render() -> None:
         cell.render(perturbed())
@@ -227,10 +219,10 @@ def _time_fast(cell: Cell, at: BenchScene, runs: Runs, watch: Stopwatch) -> list
         alone.append(watch.of(render) / runs.seconds[-1])
     ambient = replace(perturbed(), light=Light(ambient_rgb=(0.5, 0.5, 0.5), lights=()))
     fewer = cell.terms(ambient)
-    if any(fewer[t] != terms[t] for t in cell.stage.terms if t not in new):
+    if any(fewer[t] != terms[t] for t in cell.stage.terms if t not in once):
         cell.render(ambient)
         runs.add(fewer, watch.of_concurrent(partial(cell.render, ambient)))
-    for term in new:
+    for term in once:
         seconds = watch.of_concurrent(partial(cell.render, _new_light(at, runs)))
         runs.add({**terms, term: 1.0}, seconds)
     return alone

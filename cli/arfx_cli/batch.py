@@ -6,12 +6,10 @@ from typing import Any
 
 import click
 
-from arfx.errors import counted
 from arfx_cli.command import TABLE, arfx_command
 from arfx_cli.console import (
     Progress,
     print_table,
-    result_of,
     say,
     tell,
     wrote_json,
@@ -73,38 +71,9 @@ def command(inputs: tuple[str, ...], dry_run: bool, **given: Any) -> None:
 
         document = (plan_batch if dry_run else run_batch)(jobs, options, started, ended)
     if not wrote_json(document):
-        (_show_plans if dry_run else _show)(document)
+        template = "measure/batch_plans.jinja" if dry_run else "measure/batch_table.jinja"
+        print_table(template, words=2, d=document)
     if not dry_run:
         say(f"summary: {(options.report or home_of(jobs)) / 'batch.html'}")
     if document["failed"]:
         click.get_current_context().exit(6)
-
-
-def _show(document: dict[str, Any]) -> None:
-    rows = [(r["clip"], result_of(r), f"{r['seconds']:.1f} s") for r in document["jobs"]]
-    print_table(_title(document), ("clip", "result", "time"), rows, words=2)
-
-
-def _show_plans(document: dict[str, Any]) -> None:
-    rows = []
-    for r in document["jobs"]:
-        predicted = (r.get("plan") or {}).get("predicted") or {}
-        rows.append((r["clip"], result_of(r), *_predicted(predicted.get("wall"))))
-    total = ("all", "", *_predicted(document["predicted"]))
-    print_table(
-        _title(document),
-        ("clip", "frames", "predicted", "nine times in ten"),
-        [*rows, (), total],
-        words=2,
-    )
-
-
-def _title(document: dict[str, Any]) -> str:
-    clips = counted(len(document["jobs"]), "clips")
-    return f"{clips}, {document['failed'] or 'none'} failed"
-
-
-def _predicted(wall: dict[str, float] | None) -> tuple[str, str]:
-    if wall is None:
-        return "", ""
-    return f"{wall['s']:.1f} s", f"{wall['low_s']:.1f} to {wall['high_s']:.1f} s"

@@ -9,9 +9,9 @@ from typing import Any
 from arfx_cli.command import arfx_command
 from arfx_cli.console import (
     Progress,
-    detail,
+    detail_template,
     note,
-    print_rendered_table,
+    print_table,
     say,
     wrote_json,
 )
@@ -60,15 +60,10 @@ def command(
     with Progress("timed") as progress:
         compile_ahead(None, progress, note)
         rows = bench(parsed, stage, level, progress, errors=errors)
-    for r in rows:
-        each = 1e6 * r["ms"] / r["area_px"]
-        detail(
-            f"{r['stage']} {r['level']} {r['size']}: {r['area_px']} px, {each:.2f} ns/px,"
-            f" median of {r['runs']} runs"
-        )
+    detail_template("measure/bench_detail.jinja", rows=rows)
     if wrote_json(rows):
         return
-    print_rendered_table("measure/bench.jinja", words=3, rows=rows)
+    print_table("measure/bench.jinja", words=3, rows=rows)
     say(f"errors: {errors.source}")
 
 
@@ -99,5 +94,5 @@ def _calibrate(stage: str | None, level: str | None) -> None:
     }
     if wrote_json(document):
         return
-    print_rendered_table("measure/prices.jinja", d=document, terms=TERMS)
+    print_table("measure/prices.jinja", d=document, terms=TERMS)
     say(f"kept in {path}")

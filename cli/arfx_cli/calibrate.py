@@ -12,15 +12,14 @@ from arfx.core import interrupt
 from arfx.core.guard import Guard
 from arfx.core.naming import fixed_folder, has_field, named
 from arfx.core.opener import folder_entries
-from arfx.errors import ConfigError, InputError, counted, explained, on_one_line
+from arfx.errors import ConfigError, InputError, explained, on_one_line
 from arfx_cli.command import arfx_command
 from arfx_cli.console import (
     Progress,
-    detail,
+    detail_template,
     note,
     print_table,
     quiet,
-    result_of,
     say,
     tell,
     wrote_json,
@@ -118,13 +117,9 @@ def command(
             }
         )
     failed = sum(row["exit_code"] != 0 for row in rows)
-    if not wrote_json({"cameras": rows, "failed": failed}):
-        print_table(
-            f"{counted(len(rows), 'cameras')}, {failed or 'none'} failed",
-            ("camera", "verdict", "output"),
-            [(row["input"], result_of(row), row["output"]) for row in rows],
-            words=3,
-        )
+    document = {"cameras": rows, "failed": failed}
+    if not wrote_json(document):
+        print_table("calibrate/cameras.jinja", words=3, **document)
     if failed:
         click.get_current_context().exit(6)
 
@@ -172,11 +167,7 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
         note(
             f"the calibration is {result.verdict.word}: {'; '.join(result.verdict.reasons)}"
         )
-    for row in d["models"]:
-        detail(
-            f"{'*' if row['chosen'] else ' '} {row['model']}: held out"
-            f" {row['held_out_rms_px']:.4f} px {row['rejected']}"
-        )
+    detail_template("calibrate/models.jinja", models=d["models"])
     output, *plots = map(str, [camera.output, *camera.plots])
     say(f"wrote {', '.join([output, *plots])}")
     return d | {"output": output, "plots": plots}

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Sequence
 from typing import Any
 
 import click
@@ -71,16 +70,20 @@ def wrote_json(document: Any) -> bool:
     return True
 
 
-def print_table(
-    title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1
-) -> None:
-    """On standard output; cells wrap between words alone. words : how many of the first
-    columns are left-justified; a row () is a line"""
+def print_table(template: str, words: int = 1, **values: Any) -> None:
+    """A table on standard output; cells wrap between words alone.
+
+    template : its title, then the heads, then the rows, with a tab between cells; an empty
+    row is a line;  words : how many of the first columns are left-justified
+    """
     from rich import box
     from rich.console import Console
     from rich.table import Table
 
-    lines = [*rows]
+    from arfx.run.pages import render
+
+    title, *lines = render(template, **values).removesuffix("\n").split("\n")
+    rows = [line.split("\t") if line else [] for line in lines]
     table = Table(
         title=title,
         title_justify="left",
@@ -88,31 +91,14 @@ def print_table(
         padding=(0, 1, 0, 0),
         pad_edge=False,
     )
-    for k, column in enumerate(zip(heads, *filter(None, lines), strict=True)):
+    for k, column in enumerate(zip(*filter(None, rows), strict=True)):
         longest = max(len(word) for cell in column for word in [*cell.split(), ""])
         table.add_column(
             column[0], justify="left" if k < words else "right", min_width=longest
         )
-    for row in lines:
-        table.add_row(*map(printable, row)) if row else table.add_section()
+    for row in rows[1:]:
+        table.add_row(*row) if row else table.add_section()
     Console(highlight=False).print(table)
-
-
-def print_rendered_table(template: str, words: int = 1, **values: Any) -> None:
-    """A table as a template has it: its title, then the heads, then the rows, with a tab
-    between cells; an empty line is a line.
-    """
-    from arfx.run.pages import render
-
-    title, *lines = render(template, **values).splitlines()
-    heads, *rows = (line.split("\t") if line else () for line in lines)
-    print_table(title, heads, rows, words)
-
-
-def result_of(row: dict[str, Any]) -> str:
-    """In words, of one of several inputs."""
-    failed = f"exit {row['exit_code']}: " if row["exit_code"] else ""
-    return failed + row["message"]
 
 
 class Progress:

@@ -10,7 +10,7 @@ import click
 from arfx_cli.command import arfx_command
 from arfx_cli.console import (
     detail_template,
-    print_rendered_table,
+    print_table,
     tell,
     wrote_json,
 )
@@ -50,7 +50,7 @@ def _print(document: dict[str, Any]) -> None:
     click.echo(render("measure/inspect_clip.jinja", d=document), nl=False)
     if markers:
         click.echo()
-        print_rendered_table("measure/inspect_table.jinja", d=document)
+        print_table("measure/inspect_table.jinja", d=document)
     sizes = [*zip(markers, size_names(markers), strict=True)]
     click.echo(
         render(

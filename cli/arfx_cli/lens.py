@@ -6,7 +6,7 @@ import math
 from dataclasses import asdict
 
 from arfx_cli.command import arfx_command
-from arfx_cli.console import print_rendered_table, wrote_json
+from arfx_cli.console import print_table, wrote_json
 
 
 @arfx_command("lens")
@@ -38,6 +38,6 @@ def command(focal: str, fnumber: float, distance: str, coc: str) -> None:
         CORRECTED: corrected | {"back_is_infinite": corrected["back_mm"] == math.inf},
     }
     if not wrote_json(document):
-        print_rendered_table(
+        print_table(
             "measure/lens.jinja", d=document, focal=focal, distance=distance, coc=coc
         )

@@ -10,7 +10,7 @@ from arfx_cli.command import arfx_command
 from arfx_cli.console import (
     Progress,
     detail,
-    print_rendered_table,
+    print_table,
     say,
     verbose,
     wrote_json,
@@ -45,7 +45,7 @@ def command(**given: Any) -> None:
     if wrote_json(document):
         return
     frames = job.plan.frames
-    print_rendered_table("plan/plan_table.jinja", words=2, rows=rows, frames=len(frames))
+    print_table("plan/plan_table.jinja", words=2, rows=rows, frames=len(frames))
     for line in frame_by_frame(frames):
         detail(line)
     say(size_in_words(document["model"]))

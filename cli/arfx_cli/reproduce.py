@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Any
 
 from arfx_cli.command import arfx_command
 from arfx_cli.console import (
@@ -37,7 +36,7 @@ def command(paper: str, folder: Path, short: bool, overwrite: bool) -> None:
     from arfx.core.guard import Guard
     from arfx.errors import JobInterruptedError
     from arfx.reproduce import PAPERS
-    from arfx.reproduce.document import page_name, reproduce
+    from arfx.reproduce.document import page_name, reproduce, text
     from arfx.reproduce.work import Work
     from arfx.run.kernels import SYNTH, compile_ahead
     from arfx.run.place import PAGE_START, files_locked
@@ -58,23 +57,6 @@ def command(paper: str, folder: Path, short: bool, overwrite: bool) -> None:
         raise KeyboardInterrupt from None
     if wrote_json(document):
         return
-    _show(document["rows"])
+    print_table("reproduce/rows.jinja", words=7, text=text, **document)
     for name in pages:
         say(f"page: {folder / name}")
-
-
-def _show(rows: list[dict[str, Any]]) -> None:
-    from arfx.reproduce.document import text
-
-    lines: list[tuple[str, ...]] = []
-    for r in rows:
-        if lines and r["paper"] != lines[-1][0]:
-            lines.append(())
-        values = (text(r[key]) for key in ("printed", "paper_formula", "corrected"))
-        lines.append((r["paper"], r["item"], *values, r["unit"], r["verdict"]))
-    print_table(
-        "papers",
-        ("paper", "item", "printed", "printed method", "corrected", "unit", "verdict"),
-        lines,
-        words=7,
-    )

@@ -6,11 +6,7 @@ from pathlib import Path
 
 from arfx.core.guard import Guard
 from arfx_cli.command import arfx_command
-from arfx_cli.console import (
-    detail,
-    say,
-    wrote_json,
-)
+from arfx_cli.console import detail_template, say, wrote_json
 
 
 @arfx_command("target")
@@ -40,12 +36,8 @@ def command(
         f"wrote {output}: {sheet.width_mm:g} x {sheet.height_mm:g} mm; print at 100 % and"
         " measure the ruler"
     )
-    for target, black in zip(targets, sheet.black, strict=True):
-        (x, y), (right, lower) = black.min((0, 1)), black.max((0, 1))
-        detail(
-            f"{target}: {right - x:g} x {lower - y:g} mm of black, {x:.1f} mm from the left and"
-            f" {y:.1f} mm from the top of the page"
-        )
+    blacks = zip(targets, sheet.black, strict=True)
+    detail_template("calibrate/sheet.jinja", targets=blacks)
     wrote_json(
         {
             "output": str(output),

@@ -11,7 +11,7 @@ import click
 from arfx_cli.command import arfx_command
 from arfx_cli.console import (
     Progress,
-    print_rendered_table,
+    print_table,
     say,
     wrote_json,
 )
@@ -63,5 +63,5 @@ def command(frames: int, **given: Any) -> None:
     if wrote_json(measured):
         return
     for template in ("effects", "pipelines"):
-        print_rendered_table(f"measure/tradeoff_{template}.jinja", words=2, d=measured)
+        print_table(f"measure/tradeoff_{template}.jinja", words=2, d=measured)
     click.echo(measured["recommendation"])

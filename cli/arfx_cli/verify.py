@@ -11,8 +11,8 @@ import click
 from arfx_cli.command import arfx_command
 from arfx_cli.console import (
     Progress,
-    detail,
     detail_job,
+    detail_template,
     note,
     wrote_json,
 )
@@ -46,11 +46,8 @@ def command(folder: Path, keep: Path | None, workers: int) -> None:
         work.mkdir(parents=True, exist_ok=True)
         done = verify(folder, work, progress, note, workers)
     detail_job(done.report)
-    for kind, bounds in read_tolerance(folder).get("truth", {}).items():
-        for name, bound in bounds.items() if kind in ("max", "min") else ():
-            detail(
-                f"bound: {name} {'at most' if kind == 'max' else 'at least'} {bound:g}"
-            )
+    bounds = read_tolerance(folder).get("truth", {})
+    detail_template("measure/verify_bounds.jinja", bounds=bounds)
     document = {"folder": str(folder), "figures": done.figures, "broken": done.broken}
     if not wrote_json(document):
         click.echo(render("measure/verify.jinja", f=done.figures), nl=False)
