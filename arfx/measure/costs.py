@@ -283,8 +283,8 @@ def _perturbed_light(at: BenchScene) -> Callable[[], FrameFacts]:
     light, count = at.scene.light, itertools.count()  # threads ask for the next at once
 
     def facts() -> FrameFacts:
-        red, *others = light.ambient_rgb
-        ambient = (red * (1 + 1e-6 * next(count)), *others)
+        red, green, blue = light.ambient_rgb
+        ambient = (red * (1 + 1e-6 * next(count)), green, blue)
         perturbed = replace(light, ambient_rgb=ambient)
         return at.facts.with_(light=perturbed, environment=environment)
 

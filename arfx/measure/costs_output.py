@@ -130,8 +130,9 @@ def write_clip(path: Path, width: int, height: int, frames: int) -> Path:
         for i in range(frames):
             t = i / 30
             middle = (width / 20, height / 20)
-            move = cv2.getRotationMatrix2D(middle, 15 + 2 * np.sin(t), 10)
+            turn = cv2.getRotationMatrix2D(middle, 15 + 2 * np.sin(t), 10)
             sway = 0.02 * width * np.sin([0.9 * t, 1.1 * t])
+            move = np.array(turn, float)
             move[:, 2] += 0.4 * np.array([width, height]) + sway
             picture = cv2.warpAffine(
                 table, move, (width, height), borderMode=cv2.BORDER_REFLECT

@@ -6,6 +6,7 @@ import io
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -21,9 +22,8 @@ RAW, SMOOTH, PREDICTED = "#d9822b", "#2f81f7", "#8b949e"
 STATUS_COLOUR = {MEASURED: "#2da44e", INTERPOLATED: "#d4a72c", ABSENT: "#cf5b56"}
 
 
-styled = rc_context(
-    tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
-)  # in which a figure of the pages is drawn
+STYLE: Any = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
+styled = rc_context(STYLE)  # in which a figure of the pages is drawn
 
 
 @styled

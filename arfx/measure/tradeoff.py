@@ -222,7 +222,7 @@ def _choose_windows(work: _Work, sets: Sequence[Levels], window_px: int | None) 
     frames = work.frames
     area = float(MOST_PX if window_px is None else window_px)
     if window_px is None:
-        alone, per_px = sum(work.slow_s(frame, sets) for frame in frames.values())
+        alone, per_px = np.sum([work.slow_s(f, sets) for f in frames.values()], axis=0)
         area = min(area, max((REFERENCE_S - alone) / max(per_px, 1e-9), LEAST_PX))
     for i in frames:
         shown = frames[i - 1] if i == work.following else frames[i]
@@ -342,10 +342,8 @@ def _pipelines(work: _Work, effects: Sequence[Row]) -> list[Row]:
     _compare(work, rows, work.best)
     mixed = []
     for levels in level_sets(effects, work.usual):
-        seconds = sum(
-            work.slow_s(frame, [levels]) @ (1, frame.window.area)
-            for frame in work.sampled
-        )
+        slow = [work.slow_s(f, [levels]) @ (1, f.window.area) for f in work.sampled]
+        seconds = float(np.sum(slow))
         if levels not in [r.levels for r in rows] and seconds <= left_s:
             left_s -= seconds
             mixed.append(Row("pipeline", "mixed", "", levels=levels))

@@ -89,7 +89,9 @@ def describe(name: str) -> dict[str, Any]:
 
 
 def _price_ms(price: Price | None) -> dict[str, float] | None:
-    return price and {term: 1e3 * s for term, s in price.coefficients.items() if s}
+    if price is None:
+        return None
+    return {term: 1e3 * s for term, s in price.coefficients.items() if s}
 
 
 def _of_formulas(kinds: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -17,7 +17,7 @@ from arfx_cli.console import (
 from arfx_cli.job_options import job_config, job_options, run_options
 
 
-def _options() -> list[click.Parameter]:
+def _options() -> list[click.Option]:
     """Those of `process`, but for its one clip."""
     options = [p for p in job_options() if isinstance(p, click.Option)]
     for option in options:

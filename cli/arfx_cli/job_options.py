@@ -5,21 +5,18 @@ and of how a job is run."""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 import click
 
-from arfx.config.sections import Setting, settings
+from arfx.config.sections import JobConfig, Setting, settings
 from arfx_cli.command import TABLE, parameter
 from arfx_cli.console import Progress, note
 
 if TYPE_CHECKING:
-    from arfx.config.given import Given
     from arfx.config.load import JobFile
-    from arfx.config.sections import JobConfig
     from arfx.run.job import Options
 
 
@@ -66,32 +63,30 @@ def job_config(given: dict[str, Any], more: Sequence[JobFile] = ()) -> JobConfig
     from arfx.run.parameters import parameters, pipeline
     from arfx.stages import STAGES
 
-    kinds = parameters()
-    formulas = [name for name, by_formula in kinds.items() if len(by_formula) > 1]
-    tree = overrides(
-        itertools.chain(section_overrides(given), _of_stages(given, formulas)),
-        given["set"],
-    )
-    files: list[Path | JobFile] = [
-        *(find_job_file(file) for file in given["config"]),
-        *more,
-    ]
+    kinds, options = parameters(), [*section_overrides(given)]
+    places = {
+        "light": [("light", "given")],
+        "environment": [("light", "environment")],
+        "formula": [(n, "formula") for n, formulas in kinds.items() if len(formulas) > 1],
+    }
+    for option, paths in places.items():
+        if value := given[option]:
+            options += [(path, value, f"--{option} {value}") for path in paths]
+    tree = overrides(options, given["set"])
+    files: list[Path | JobFile] = [*map(find_job_file, given["config"]), *more]
     config = load(files, tree, kinds, STAGES.broken)
     pipeline(config)
     return config
 
 
-def workers(given: dict[str, Any]) -> dict[str, Any]:
-    """Who renders, as arguments of `arfx.run.job.Options`; taken out of `given`. Raises
-    ConfigError.
-    """
+def run_options(given: dict[str, Any], progress: Progress) -> Options:
+    """How the job is run, from the parsed options that say so. Raises ConfigError."""
     from arfx.errors import ConfigError
     from arfx.run.cluster.paths import PathMap
     from arfx.run.cluster.spec import ClusterSpec
+    from arfx.run.job import Options
 
-    count, executor, maps = (
-        given.pop(name) for name in ("workers", "executor", "map_path")
-    )
+    count, executor, maps = given["workers"], given["executor"], given["map_path"]
     if executor is not None and count is not None:
         raise ConfigError(
             f"--workers {count} and --executor {executor} both say who renders",
@@ -101,29 +96,14 @@ def workers(given: dict[str, Any]) -> dict[str, Any]:
         raise ConfigError(
             "--map-path is for the workers of a cluster", "--executor says which"
         )
-    spec = None if executor is None else ClusterSpec.parse(executor)
-    return {
-        "workers": count,
-        "executor": spec,
-        "map_path": tuple(map(PathMap.parse, maps)),
-    }
-
-
-def _of_stages(given: dict[str, Any], formulas: Sequence[str]) -> Iterator[Given]:
-    for option, key in (("light", "given"), ("environment", "environment")):
-        if given[option]:
-            yield ("light", key), given[option], f"--{option} {given[option]}"
-    if given["formula"]:
-        for name in formulas:
-            yield (name, "formula"), given["formula"], f"--formula {given['formula']}"
-
-
-def run_options(given: dict[str, Any], progress: Progress) -> Options:
-    """How the job is run, from the parsed options that say so, which are taken out of `given`."""
-    from arfx.run.job import Options
-
-    folder, report = given.pop("job_dir"), given.pop("report_dir")
-    resume, overwrite, who = given.pop("resume"), given.pop("overwrite"), workers(given)
     return Options(
-        folder, resume, overwrite, report=report, progress=progress, notice=note, **who
+        given["job_dir"],
+        given["resume"],
+        given["overwrite"],
+        count,
+        given["report_dir"],
+        executor=None if executor is None else ClusterSpec.parse(executor),
+        map_path=tuple(map(PathMap.parse, maps)),
+        progress=progress,
+        notice=note,
     )
