@@ -6,9 +6,10 @@ from typing import Any
 
 import click
 
-from arfx_cli.command import TABLE, arfx_command
 from arfx_cli.console import (
+    TABLE,
     Progress,
+    arfx_command,
     print_table,
     say,
     tell,

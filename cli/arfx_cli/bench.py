@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 from typing import Any
 
-from arfx_cli.command import arfx_command
 from arfx_cli.console import (
     Progress,
+    arfx_command,
     detail_template,
     note,
     print_table,

@@ -13,9 +13,9 @@ from arfx.core.guard import Guard
 from arfx.core.naming import fixed_folder, has_field, named
 from arfx.core.opener import folder_entries
 from arfx.errors import ConfigError, InputError, explained, on_one_line
-from arfx_cli.command import arfx_command
 from arfx_cli.console import (
     Progress,
+    arfx_command,
     detail_template,
     note,
     print_table,

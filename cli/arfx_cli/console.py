@@ -1,11 +1,16 @@
-"""What every command shares: messages on standard error, one JSON document on standard
-output, progress.
+"""What every command shares: its parameters, as commands.toml states them, messages on
+standard error, one JSON document on standard output, tables, progress.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
+import tomllib
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import click
@@ -14,9 +19,68 @@ from arfx.core.opener import printable
 from arfx.core.waiting import WAITS
 from arfx.errors import counted
 
-OUTPUT = "arfx_cli.output"  # in the context of a command with --json: standard output
-LEVEL = "arfx_cli.level"  # in the context of the running command: -1 quiet, 0, 1 verbose
+TABLE = tomllib.loads(Path(__file__).with_name("commands.toml").read_text("utf-8"))
+_KINDS: dict[str, click.ParamType] = {
+    "file": click.Path(path_type=Path, dir_okay=False),
+    "folder": click.Path(path_type=Path, file_okay=False),
+    "path": click.Path(path_type=Path),
+    "existing-folder": click.Path(path_type=Path, file_okay=False, exists=True),
+    "number": click.FLOAT,
+}
+_OUTPUT = "arfx_cli.output"  # in the context of a command with --json: standard output
+_LEVEL = "arfx_cli.level"  # in the context of the running command: -1 quiet, 0, 1 verbose
 _PHASES = {"compile": "compiling kernels for this processor, once", **WAITS}
+
+
+class Command(click.Command):
+    """With --json, what plug-ins and libraries print goes to standard error while it runs."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Of an option that takes one value click uses the last, and drops others in silence."""
+        used, _, order = self.make_parser(ctx).parse_args([*args])
+        words = [part for w in args for part in w.split("=", w.startswith("--"))]
+        for option in {p for p in order if isinstance(p, click.Option)}:
+            count, last = order.count(option), used.get(option.name)
+            if count < 2 or option.multiple or option.is_flag:
+                continue
+            values = [value for w, value in pairwise([*words, ""]) if w in option.opts]
+            lost = "".join(f", not {value}" for value in values if value != last)
+            if lost or len(values) < count:  # those of -oNAME
+                note(
+                    f"{option.opts[-1]} takes one value and is given {count}: {last} is"
+                    f" used{lost}"
+                )
+        return super().parse_args(ctx, args)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        quiet, verbose, as_json = map(ctx.params.pop, ("quiet", "verbose", "json"))
+        if quiet and verbose:
+            raise click.UsageError(
+                "--verbose and --quiet contradict each other: give one of them", ctx
+            )
+        ctx.meta[_LEVEL] = verbose - quiet
+        if as_json:
+            ctx.meta[_OUTPUT] = sys.stdout
+            ctx.with_resource(contextlib.redirect_stdout(sys.stderr))
+        return super().invoke(ctx)
+
+
+def parameter(name: str, kind: Any = None, **words: Any) -> click.Parameter:
+    """Of a row of commands.toml."""
+    made = click.Option if name.startswith("-") else click.Argument
+    if isinstance(kind, str):
+        kind = _KINDS[kind]
+    elif isinstance(kind, (list, tuple)):
+        kind = click.IntRange(*kind) if 1 in kind else click.Choice(kind)
+    return made(name.split(), type=kind, **words)
+
+
+def arfx_command(name: str, *first: click.Parameter) -> Callable[..., Command]:
+    """A command with these parameters, then its own, then those of every command."""
+    shared = (*TABLE[name].get("also", ()), "json", "verbose", "quiet")
+    rows = [*TABLE[name].get("parameter", ()), *(TABLE["shared"][key] for key in shared)]
+    params = [*first, *(parameter(**row) for row in rows)]
+    return click.command(cls=Command, params=params)
 
 
 def tell(message: str) -> None:
@@ -39,7 +103,7 @@ def note(message: str) -> None:
 
 def _level() -> int:
     context = click.get_current_context(silent=True)
-    return context.meta.get(LEVEL, 0) if context else 0
+    return context.meta.get(_LEVEL, 0) if context else 0
 
 
 def quiet() -> bool:
@@ -62,7 +126,7 @@ def wrote_json(document: Any) -> bool:
     """Whether --json asks for the result, which is then written."""
     from arfx.core.numerics import finite
 
-    output = click.get_current_context().meta.get(OUTPUT)
+    output = click.get_current_context().meta.get(_OUTPUT)
     if output is None:
         return False
     json.dump(finite(document), output, indent=1)

@@ -6,13 +6,7 @@ from pathlib import Path
 
 import click
 
-from arfx_cli.command import arfx_command
-from arfx_cli.console import (
-    Progress,
-    note,
-    say_job,
-    wrote_json,
-)
+from arfx_cli.console import Progress, arfx_command, note, say_job, wrote_json
 
 EFFECTS = ("dof",)  # of the demo's job
 

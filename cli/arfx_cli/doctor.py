@@ -10,8 +10,7 @@ from pathlib import Path
 
 import click
 
-from arfx_cli.command import arfx_command
-from arfx_cli.console import detail, verbose, wrote_json
+from arfx_cli.console import arfx_command, detail, verbose, wrote_json
 
 
 @arfx_command("doctor")

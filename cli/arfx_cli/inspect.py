@@ -7,13 +7,7 @@ from typing import Any
 
 import click
 
-from arfx_cli.command import arfx_command
-from arfx_cli.console import (
-    detail_template,
-    print_table,
-    tell,
-    wrote_json,
-)
+from arfx_cli.console import arfx_command, detail_template, print_table, tell, wrote_json
 
 
 @arfx_command("inspect")

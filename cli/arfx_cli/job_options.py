@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 import click
 
 from arfx.config.sections import JobConfig, Setting, settings
-from arfx_cli.command import TABLE, parameter
-from arfx_cli.console import Progress, note
+from arfx_cli.console import TABLE, Progress, note, parameter
 
 if TYPE_CHECKING:
     from arfx.config.load import JobFile

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 
-from arfx_cli.command import arfx_command
-from arfx_cli.console import print_table, wrote_json
+from arfx_cli.console import arfx_command, print_table, wrote_json
 
 
 @arfx_command("lens")

@@ -20,8 +20,7 @@ from arfx.core import interrupt
 from arfx.core.machine import collect_seldom
 from arfx.core.opener import check_name
 from arfx.errors import JobInterruptedError, explained
-from arfx_cli.command import TABLE
-from arfx_cli.console import tell
+from arfx_cli.console import TABLE, tell
 
 # command -> one-line help. Its module here, of that name, is imported only when it runs.
 COMMANDS = {name: rows["help"] for name, rows in TABLE.items() if "help" in rows}

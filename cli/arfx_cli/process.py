@@ -5,13 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from arfx_cli.command import arfx_command
-from arfx_cli.console import (
-    Progress,
-    say,
-    say_job,
-    wrote_json,
-)
+from arfx_cli.console import Progress, arfx_command, say, say_job, wrote_json
 from arfx_cli.job_options import job_config, job_options, run_options
 
 

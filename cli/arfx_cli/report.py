@@ -4,12 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from arfx_cli.command import arfx_command
-from arfx_cli.console import (
-    detail_job,
-    say,
-    wrote_json,
-)
+from arfx_cli.console import arfx_command, detail_job, say, wrote_json
 
 
 @arfx_command("report")

@@ -7,9 +7,9 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from arfx_cli.command import arfx_command
 from arfx_cli.console import (
     Progress,
+    arfx_command,
     detail,
     note,
     print_table,

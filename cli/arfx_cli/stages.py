@@ -6,8 +6,7 @@ import sys
 
 import click
 
-from arfx_cli.command import arfx_command
-from arfx_cli.console import wrote_json
+from arfx_cli.console import arfx_command, wrote_json
 
 
 @arfx_command("stages")

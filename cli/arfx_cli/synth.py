@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from arfx_cli.command import arfx_command
 from arfx_cli.console import (
     Progress,
+    arfx_command,
     detail_template,
     note,
     say,

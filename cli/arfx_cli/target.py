@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from arfx.core.guard import Guard
-from arfx_cli.command import arfx_command
-from arfx_cli.console import detail_template, say, wrote_json
+from arfx_cli.console import arfx_command, detail_template, say, wrote_json
 
 
 @arfx_command("target")

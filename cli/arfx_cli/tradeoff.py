@@ -8,13 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from arfx_cli.command import arfx_command
-from arfx_cli.console import (
-    Progress,
-    print_table,
-    say,
-    wrote_json,
-)
+from arfx_cli.console import Progress, arfx_command, print_table, say, wrote_json
 from arfx_cli.job_options import job_config, job_options, run_options
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import click
 
-from arfx_cli.command import arfx_command
 from arfx_cli.console import (
     Progress,
+    arfx_command,
     detail_job,
     detail_template,
     note,
