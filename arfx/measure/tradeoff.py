@@ -147,15 +147,17 @@ def measure(
     window_px : area of the pictures; None = as REFERENCE_S allows
 
     Raises NothingToDoError where no frame shows the object."""
-    plans = {p.index: p for p in job.plan.frames}
+    steps = {p.index: [s.stage for s in p.steps] for p in job.plan.frames}
     picked = pick_frames(job.facts, job.inputs.camera.rect, frames)
-    samples = [s for s in picked if plans[s.index].steps]
+    samples = [s for s in picked if steps[s.index]]
     if not samples:
         raise NothingToDoError(
             "no frame of the clip shows the object: there is nothing to measure",
             "see `arfx plan`",
         )
-    work = _opened(job, [s.index for s in samples], flicker=only is None)
+    first, names = samples[0].index, steps[samples[0].index]
+    flickers = only is None and steps.get(first + 1) == names
+    work = _opened(job, [s.index for s in samples], names, flickers)
     other = {
         n: stage
         for n in (work.usual if only is None else ())
@@ -182,13 +184,13 @@ def measure(
     return found
 
 
-def _opened(job: Job, samples: Sequence[int], flicker: bool) -> _Work:
-    """flicker : with the frame after the first sample, where the same stages run in it"""
-    steps = {p.index: [s.stage for s in p.steps] for p in job.plan.frames}
-    names, next_one = steps[samples[0]], samples[0] + 1
-    following = next_one if flicker and steps.get(next_one) == names else None
+def _opened(
+    job: Job, samples: Sequence[int], names: Sequence[str], flickers: bool
+) -> _Work:
+    """names : stages of the samples;  flickers : with the frame after the first sample"""
+    following = samples[0] + 1 if flickers else None
     stages, quality = job.stages, job.inputs.config.pipeline.quality
-    frames = open_frames(job, [*samples, *([] if following is None else [following])])
+    frames = open_frames(job, [*samples, *([following] if flickers else [])])
     whole = [replace(frames[i]) for i in samples]
     return _Work(
         job,

@@ -212,16 +212,14 @@ def world_key(world_from_marker: Mapping[str, Pose], truth: Truth) -> str:
     return next(k for k in truth.header["markers"] if k in world_from_marker)
 
 
-def exceeded(
-    figures: Mapping[str, Any], bounds: Mapping[str, Mapping[str, Any]]
-) -> list[str]:
+def exceeded(figures: Mapping[str, Any], bounds: Mapping[str, Any]) -> list[str]:
     """What breaks the bounds, one sentence each. bounds: {"max": {"arfx.flips": 0, …},
     "min": {…}, "is": {"static": "camera"}}.
 
     Keys are dotted. A figure that is bounded but missing breaks its bound."""
     broken = []
-    for kind, entries in bounds.items():
-        for dotted, limit in entries.items():
+    for kind in ("max", "min", "is"):
+        for dotted, limit in bounds.get(kind, {}).items():
             value: Any = figures
             for part in dotted.split("."):
                 value = value.get(part) if isinstance(value, Mapping) else None
