@@ -42,6 +42,7 @@ from arfx.run.planned import Job
 from arfx.stages import ALWAYS
 
 REFERENCE_S, LEAST_PX = 60.0, 600
+PIPELINE = "pipeline"  # the name of rows that are no effect's
 # of a picture: comparing whole ones of 1080p took twice as long as the references
 MOST_PX = 600_000
 
@@ -117,12 +118,19 @@ class _Work:
         return self.times.of((*before, (stages[name], row.levels[name])), self.sampled)
 
     def time(self, row: Row) -> Prediction:
-        """Of all steps of a frame."""
-        return sum_independent(self.step_time(n, row) for n in row.levels)
+        """Of a frame: the effect's step, or all of a pipeline."""
+        names = row.levels if row.name == PIPELINE else [row.name]
+        return sum_independent(self.step_time(n, row) for n in names)
+
+    def reference(self, name: str) -> Levels:
+        """Of an effect, with all others at their usual level, or of pipelines."""
+        if name == PIPELINE:
+            return self.best
+        return {**self.usual, name: self.best[name]}
 
     def usual_levels(self, other: Mapping[str, Stage]) -> dict[str, str]:
         """Those of the job's quality, or the nearest that these stages have."""
-        stages = {**self.job.stages, **other}
+        stages = self.stages(self.usual, other)
         return {n: level_named(stages[n].levels, at) for n, at in self.usual.items()}
 
     def slow_s(self, frame: FrameRenderer, sets: Iterable[Levels]) -> np.ndarray:
@@ -166,8 +174,8 @@ def measure(
     effects = [n for n in work.usual if len(job.stages[n].levels) > 1 or n in other]
     if only is not None:
         effects = [n for n in effects if n in only]
-    chains = [{**work.usual, n: work.best[n]} for n in effects]
-    _choose_windows(work, chains if only is not None else [work.best, *chains], window_px)
+    compared = effects if only is not None else [PIPELINE, *effects]
+    _choose_windows(work, [*map(work.reference, compared)], window_px)
     found = Measurements(samples, [], [], {i: f.window for i, f in work.frames.items()})
     total = len(effects) + 2
     for k, name in enumerate(effects):
@@ -177,8 +185,8 @@ def measure(
         progress("pipelines", len(effects), total)
         found.pipelines = _pipelines(work, found.effects)
     if other:
-        found.effects += [_of_other_formula(work, {n: s}, n) for n, s in other.items()]
-        found.pipelines.append(_of_other_formula(work, other))
+        found.effects += [_of_other_formula(work, n, {n: s}) for n, s in other.items()]
+        found.pipelines.append(_of_other_formula(work, PIPELINE, other))
     found.prepare_s = work.sampled[0].prepared.prepare_s
     progress("pipelines", total, total)
     return found
@@ -236,7 +244,7 @@ def _of_stage(work: _Work, name: str, found: Measurements) -> list[Row]:
     """A row for each level, the reference's too, against the reference with all other
     stages at their usual level; the first tells what leaving out the effect would change,
     where a job can do without."""
-    stage, usual, best = work.job.stages[name], work.usual, work.best[name]
+    stage, usual, best = work.job.stages[name], work.usual, work.reference(name)
     formula = getattr(stage.params, "formula", "")
     rows = [
         Row(name, level, formula, levels={**usual, name: level}) for level in stage.levels
@@ -245,15 +253,14 @@ def _of_stage(work: _Work, name: str, found: Measurements) -> list[Row]:
     without = {n: level for n, level in usual.items() if n != name}
     if name not in ALWAYS:
         rows.insert(0, Row(name, LEFT_OUT, formula, levels=without))
-    chosen = {**usual, name: best}
-    _compare(work, rows, chosen, name)
+    _compare(work, rows)
     for row in levels:
-        row.time = work.step_time(name, row)
+        row.time = work.time(row)
     for i in rows[-1].by_frame:
         worst = max(levels[:-1], key=lambda r: r.by_frame[i].p99, default=None)
         if worst is not None:
             frame = work.frames[i]
-            chain = frame.chain(chosen, work.stages(chosen))
+            chain = frame.chain(best, work.stages(best))
             coverage = frame.layer(chain, Layer.COVERAGE)
             location = _location(worst.by_frame[i], coverage)
             found.locations.setdefault((name, worst.level), location)
@@ -261,18 +268,18 @@ def _of_stage(work: _Work, name: str, found: Measurements) -> list[Row]:
     return rows
 
 
-def _compare(work: _Work, rows: Sequence[Row], best: Levels, effect: str = "") -> None:
-    """Note each row's pictures and how far they are from those at `best` levels, where the
-    effect changes anything.
-
-    effect : left out of the others at their usual level; "" = against the frame as it was
+def _compare(work: _Work, rows: Sequence[Row]) -> None:
+    """Note the pictures of rows of one name, and how far they are from the reference's,
+    where it changes anything: what is there without the effect, or the frame as it was.
     """
+    name = rows[0].name
     for i, frame in zip(work.samples, work.sampled, strict=True):
-        if effect and effect not in {s.stage for s in frame.plan.steps}:
+        if name not in {PIPELINE, *(s.stage for s in frame.plan.steps)}:
             continue
-        reference = work.image(frame, best)
-        left = {n: at for n, at in work.usual.items() if n != effect}
-        without = work.image(frame, left) if effect else frame.original()
+        reference, without = work.image(frame, work.reference(name)), frame.original()
+        if name != PIPELINE:
+            left = {n: at for n, at in work.usual.items() if n != name}
+            without = work.image(frame, left)
         for r in rows:
             r.pictures[i] = work.image(frame, r.levels, r.other)
         where = touched((reference, without), *((reference, r.pictures[i]) for r in rows))
@@ -312,21 +319,16 @@ def _location(d: Difference, coverage: np.ndarray) -> str:
     return "on the object" if coverage[y, x] > 0.5 else "beside the object"
 
 
-def _of_other_formula(work: _Work, other: Mapping[str, Stage], effect: str = "") -> Row:
+def _of_other_formula(work: _Work, name: str, other: Mapping[str, Stage]) -> Row:
     """An effect, or the whole pipeline, under the other formula, at usual levels, against
     the job's own reference.
     """
     formula = next(iter(other.values())).params.formula
     levels = work.usual_levels(other)
-    row = (
-        Row(effect, levels[effect], formula)
-        if effect
-        else Row("pipeline", "usual", formula)
-    )
-    row.levels, row.other = levels, other
-    best = {**work.usual, effect: work.best[effect]} if effect else work.best
-    _compare(work, [row], best, effect)
-    row.time = work.step_time(effect, row) if effect else work.time(row)
+    level = levels.get(name, "usual")
+    row = Row(name, level, formula, levels=levels, other=other)
+    _compare(work, [row])
+    row.time = work.time(row)
     return row
 
 
@@ -338,20 +340,20 @@ def _pipelines(work: _Work, effects: Sequence[Row]) -> list[Row]:
     for quality in QUALITIES:
         levels = {n: level_named(stages[n].levels, quality) for n in work.usual}
         named.setdefault(
-            tuple(levels.values()), Row("pipeline", quality, "", levels=levels)
+            tuple(levels.values()), Row(PIPELINE, quality, "", levels=levels)
         )
     rows = list(named.values())
-    _compare(work, rows, work.best)
+    _compare(work, rows)
     mixed = []
     for levels in level_sets(effects, work.usual):
         slow = [work.slow_s(f, [levels]) @ (1, f.window.area) for f in work.sampled]
         seconds = float(np.sum(slow))
         if levels not in [r.levels for r in rows] and seconds <= left_s:
             left_s -= seconds
-            mixed.append(Row("pipeline", "mixed", "", levels=levels))
+            mixed.append(Row(PIPELINE, "mixed", "", levels=levels))
             for frame in work.sampled:
                 work.image(frame, levels)
-    _compare(work, rows + mixed, work.best)
+    _compare(work, rows + mixed)
     for r in rows + mixed:
         r.time = work.time(r)
     return worth_showing(rows + mixed)
