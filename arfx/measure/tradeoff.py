@@ -198,7 +198,7 @@ def _opened(
     """names : stages of the samples;  flickers : with the frame after the first sample"""
     following = samples[0] + 1 if flickers else None
     stages, quality = job.stages, job.inputs.config.pipeline.quality
-    frames = open_frames(job, [*samples, *([following] if flickers else [])])
+    frames = open_frames(job, [*samples, *[samples[0] + 1] * flickers])
     whole = [replace(frames[i]) for i in samples]
     return _Work(
         job,
