@@ -9,7 +9,7 @@ import difflib
 import os
 import tomllib
 from collections.abc import Mapping, Sequence
-from functools import cache, lru_cache, reduce
+from functools import cache, reduce
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -65,41 +65,34 @@ def load(
     and "light"; the usual formula first
     broken : stages that cannot be loaded, with what is wrong
     Raises ConfigError holding every problem found; InputError if a file cannot be read."""
-    named = [files] if isinstance(files, Path) else files or ()
     read = [
         file if isinstance(file, JobFile) else read_job_file(file, parameters)
-        for file in named
+        for file in ([files] if isinstance(files, Path) else files or ())
     ]
     sources = tuple(dict.fromkeys(file.path for file in read))
     read.append(JobFile(Path("command line"), "", dict(overrides)))
-    merged: dict[str, Any] = reduce(merge, (file.document for file in read), {})
+    merged: dict[str, Any] = reduce(merge, (file.document for file in read))
     problems: list[str] = []
 
     def problem(path: KeyPath, message: str, hint: str = "") -> None:
         # of the last file that holds the key, or else its nearest parent
-        file = next(
-            f
-            for n in range(len(path), -1, -1)
-            for f in reversed(read)
-            if _contains(f.document, path[:n])
-        )
+        file = max(reversed(read), key=lambda f: _depth(f.document, path))
         problems.append(file.located(message, path, hint))
 
     def unknown(path: KeyPath) -> None:
-        name, key = str(path[0]), path[-1]
+        name, key = str(path[0]), str(path[-1])
         if name in broken:
             return problem(path, broken[name].message, broken[name].hint)
         if len(path) == 1:
             known = suggestion(name, model.model_fields)
             return problem(path, f"there is no section or stage {name!r}", known)
-        by_formula = sections[name]
         gone = GONE.get(name, {}).get(key) if len(path) == 2 else None
-        owner = next((f for f, kind in by_formula.items() if key in _fields(kind)), None)
-        if owner is not None and gone is None:
-            message = f'{name}.{key} belongs to formula = "{owner}"'
+        owners = [f for f, kind in sections[name].items() if key in _fields(kind)]
+        if owners and gone is None:
+            message = f'{name}.{key} belongs to formula = "{owners[0]}"'
             return problem(path, message, f'{name}.formula is "{chosen[name]}"')
-        kind = by_formula[chosen.get(name, "")]
-        hint = gone or suggestion(str(key), _fields(kind))
+        kind = sections[name][chosen.get(name, "")]
+        hint = gone or suggestion(key, _fields(kind))
         return problem(path, f"[{name}] has no setting {key!r}", hint)
 
     sections, chosen = all_sections(parameters), dict[str, str]()
@@ -207,13 +200,8 @@ def _fields(kind: Any) -> dict[str, Any]:
 
 def suggestion(name: str, known: Any) -> str:
     """'did you mean …?' or the list of what is known."""
-    hit = _closest(str(name), tuple(known))
+    hit = difflib.get_close_matches(name, known, 1)
     return f"did you mean {hit[0]!r}?" if hit else "known: " + ", ".join(sorted(known))
-
-
-@lru_cache(maxsize=64)  # a misspelt head of a table is met in every row
-def _closest(name: str, known: tuple[str, ...]) -> list[str]:
-    return difflib.get_close_matches(name, known, 1)
 
 
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
@@ -225,13 +213,15 @@ def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     return out
 
 
-def _contains(tree: Any, path: KeyPath) -> bool:
-    for key in path:
-        if isinstance(tree, Mapping) and key in tree:
-            tree = tree[key]
-        else:
-            return isinstance(tree, (list, tuple))
-    return True
+def _depth(tree: Any, path: KeyPath) -> int:
+    """How many keys of a path are there; a list has all."""
+    for n, key in enumerate(path):
+        if isinstance(tree, (list, tuple)):
+            break
+        if not isinstance(tree, Mapping) or key not in tree:
+            return n
+        tree = tree[key]
+    return len(path)
 
 
 def presets() -> dict[str, Path]:

@@ -6,7 +6,7 @@ Options of the commands, and which settings are paths, follow from `settings`.""
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
@@ -271,27 +271,27 @@ class Setting(NamedTuple):
 @cache
 def settings() -> tuple[Setting, ...]:
     """Every setting of a job file but those of the stages."""
-    return tuple(_settings())
+    return tuple(
+        Setting(
+            section,
+            key,
+            kinds(field.annotation),
+            get_origin(JobConfig.model_fields[section].annotation) is tuple,
+            field.default,
+            field.metadata,
+            *option_of(field),
+        )
+        for section, model in section_models().items()
+        for key, field in model.model_fields.items()
+    )
 
 
-def _settings() -> Iterator[Setting]:
-    for section, model in section_models().items():
-        repeated = get_origin(JobConfig.model_fields[section].annotation) is tuple
-        for key, field in model.model_fields.items():
-            words: Any = field.json_schema_extra
-            option = words["option"].split()
-            flags = [word for word in option if word.startswith("-")] or option
-            yield Setting(
-                section,
-                key,
-                kinds(field.annotation),
-                repeated,
-                field.default,
-                field.metadata,
-                flags,
-                option[-1] if len(option) > len(flags) else None,
-                words["help"],
-            )
+def option_of(field: Any) -> tuple[list[str], str | None, str]:
+    """Flags of a field's option, its metavar and help; no flags: it has none."""
+    words: Any = field.json_schema_extra or {"option": "", "help": ""}
+    option = words["option"].split()
+    flags = [word for word in option if word.startswith("-")] or option
+    return flags, option[-1] if len(option) > len(flags) else None, words["help"]
 
 
 def section_models() -> dict[str, type[Settings]]:

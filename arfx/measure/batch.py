@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
 import os
 import re
 from collections.abc import Callable, Sequence
@@ -18,7 +17,7 @@ from arfx.core import interrupt
 from arfx.core.guard import Guard
 from arfx.core.numerics import finite
 from arfx.core.waiting import wait_for
-from arfx.measure.report import report_of_job
+from arfx.measure.report import report_of_job, write_json
 from arfx.media.output import names_sequence
 from arfx.run.batch import Row, Started, plan_all, process_all, total_of
 from arfx.run.batch_jobs import BatchJob, check_batch, home_of
@@ -61,10 +60,7 @@ def run_batch(
             interrupt.commit(6 if any(row["exit_code"] for row in rows) else 0)
         finally:
             document = _document(rows)
-            write(
-                home / "batch.json",
-                json.dumps(document, indent=1, allow_nan=False) + "\n",
-            )
+            write_json(home / "batch.json", document)
             write(home / "batch.html", page(rows, len(jobs), home))
     return document
 
@@ -79,17 +75,16 @@ def plan_batch(
     null}; nothing is written.
     """
     wait_for("check", lambda: check_batch(jobs, kept=False), options.progress)
-    rows = []
-    for k, row in enumerate(plan_all(jobs, options, started)):
+    rows: list[Row] = []
+    for row in plan_all(jobs, options, started):
+        ended(len(rows), row)
         rows.append(row)
-        ended(k, row)
     return _document(rows) | {"predicted": total_of(rows)}
 
 
 def _document(rows: Sequence[Row]) -> dict[str, Any]:
-    document: dict[str, Any] = finite(
-        {"jobs": list(rows), "failed": sum(row["exit_code"] != 0 for row in rows)}
-    )
+    failed = sum(row["exit_code"] != 0 for row in rows)
+    document: dict[str, Any] = finite({"jobs": list(rows), "failed": failed})
     return document
 
 
@@ -124,12 +119,10 @@ def _thumbnail(report: str) -> np.ndarray | None:
     """The middle output picture of a job's report, small, RGB; None where there is none."""
     try:
         found = _PICTURE.findall(Path(report).read_bytes())
-        whole = cv2.imdecode(
-            np.frombuffer(base64.b64decode(found[len(found) // 2]), np.uint8),
-            cv2.IMREAD_COLOR,
-        )
+        data = np.frombuffer(base64.b64decode(found[len(found) // 2]), np.uint8)
+        whole = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB)
         assert whole is not None
         size = (_WIDTH_PX, max(round(whole.shape[0] * _WIDTH_PX / whole.shape[1]), 1))
-        return cv2.resize(whole, size, interpolation=cv2.INTER_AREA)[..., ::-1]
+        return cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
     except (OSError, ValueError, IndexError, AssertionError, cv2.error):
         return None

@@ -8,8 +8,7 @@ load, a time does not."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any
@@ -62,24 +61,21 @@ class Cell:
 
     def terms(self, facts: FrameFacts | None = None) -> dict[str, float]:
         """Of its price (`arfx.plan.planner.terms_of`)."""
-        return terms_of(
-            self.run.need(self.out), facts or self.run.facts, self.run.at.scene
-        )
+        run = self.run
+        return terms_of(run.need(self.out), facts or run.facts, run.at.scene)
 
     @property
     def done(self) -> bool:
-        min_runs = 1 if max(self.seconds, default=0.0) > SLOW_S else MIN_RUNS
-        return len(self.seconds) >= MAX_RUNS or (
-            len(self.seconds) >= min_runs and sum(self.seconds) > BUDGET_S
-        )
+        runs, least = len(self.seconds), MIN_RUNS
+        if max(self.seconds, default=0.0) > SLOW_S:
+            least = 1
+        return runs >= (least if sum(self.seconds) > BUDGET_S else MAX_RUNS)
 
     def to_json(self, errors: Errors) -> dict[str, Any]:
         camera = self.frame.prepared.scene.camera
         name, best = self.stage.name, self.stage.levels[-1]
-        ms, yardstick_ms = (
-            1e3 * float(np.median(seconds))
-            for seconds in (self.seconds, self.yardstick_s)
-        )
+        both = 1e3 * np.median([self.seconds, self.yardstick_s], axis=1)
+        ms, yardstick_ms = both.tolist()
         return {
             "stage": name,
             "level": self.level,
@@ -151,34 +147,31 @@ def make_cells(at: BenchScene, stage: str | None, level: str | None) -> list[Cel
 
     Stages that require measured depth are timed on the same scene with a depth map."""
     stages = {name: kind() for name, kind in STAGES.items()}
-    wanted = set(stages) if stage is None else {stage}
-    on_depth = wanted & ON_DEPTH
-    cells = _cells(at, stages, wanted - on_depth, level)
-    return cells + _cells(at.with_depth(), stages, on_depth, level) if on_depth else cells
-
-
-def _cells(
-    at: BenchScene,
-    stages: Mapping[str, Stage],
-    wanted: Collection[str],
-    level: str | None,
-) -> list[Cell]:
-    """Of the stages with these names; none where the scene does not call for them."""
     standard = {name: level_named(s.levels, "standard") for name, s in stages.items()}
-    whole = at.scene.camera.rect
-    plan = plan_frame(list(stages.values()), standard, at.facts, at.scene, whole)
-    if not any(s.stage in wanted for s in plan.steps):
-        return []
-    prepared, depth = PreparedStages(at.scene), at.real_depth_m
-    frame = FrameRenderer(at.facts, at.plate, plan, stages, whole, prepared, depth)
-    chain = frame.chain(standard)
-    return [
-        Cell(frame, chain[:k], stages[step.stage], own, step.out)
-        for k, step in enumerate(plan.steps)
-        if step.stage in wanted
-        for own in stages[step.stage].levels
-        if level in (None, own)
-    ]
+    asked = set(stages) if stage is None else {stage}
+    cells = []
+    for wanted in filter(None, (asked - ON_DEPTH, asked & ON_DEPTH)):
+        seen = at.with_depth() if wanted <= ON_DEPTH else at
+        scene, whole = seen.scene, seen.scene.camera.rect
+        plan = plan_frame([*stages.values()], standard, seen.facts, scene, whole)
+        frame = FrameRenderer(
+            seen.facts,
+            seen.plate,
+            plan,
+            stages,
+            whole,
+            PreparedStages(scene),
+            seen.real_depth_m,
+        )
+        chain = frame.chain(standard)
+        cells += [
+            Cell(frame, chain[:k], stages[step.stage], own, step.out)
+            for k, step in enumerate(plan.steps)
+            if step.stage in wanted
+            for own in stages[step.stage].levels
+            if level in (None, own)
+        ]
+    return cells
 
 
 def _interleave(
@@ -200,7 +193,5 @@ def _interleave(
 
 
 def _record(cell: Cell, seconds: float, picture: np.ndarray) -> None:
-    start = time.perf_counter()
-    cv2.GaussianBlur(picture, (0, 0), 5)
     cell.seconds.append(seconds)
-    cell.yardstick_s.append(time.perf_counter() - start)
+    cell.yardstick_s.append(WALL.of(lambda: cv2.GaussianBlur(picture, (0, 0), 5)))

@@ -35,13 +35,9 @@ def ball(longitudes: int = _LONGITUDES, latitudes: int = _LATITUDES) -> Model:
     tilt = np.arccos(np.clip(normals[:, 2], -1, 1))
     uv = np.stack([turn / (2 * np.pi) % 1, tilt / np.pi], -1)
     squares = np.kron(np.indices((8, 16)).sum(0) % 2, np.ones((16, 16), int))[..., None]
-    texture = np.where(squares, (220, 180, 60, 255), (90, 120, 60, 255))
-    material = Material(
-        "ball",
-        base_colour=(1.0, 1.0, 1.0, 1.0),
-        base_texture=Texture(texture.astype(np.uint8)),
-        roughness=0.6,
-    )
+    colours = np.where(squares, (220, 180, 60, 255), (90, 120, 60, 255))
+    texture, white = Texture(colours.astype(np.uint8)), (1.0, 1.0, 1.0, 1.0)
+    material = Material("ball", white, base_texture=texture, roughness=0.6)
     faces = np.asarray(sphere.faces, np.int32)
     part = Part(normals / 2, faces, normals, material, uv)
     return Model((part,), up="z", source="benchmark ball")
@@ -70,10 +66,8 @@ class BenchScene:
         box = self.facts.model_box
         half = Rect(box.x0, box.y0, (box.x0 + box.x1) // 2, box.y1).clip(camera.rect)
         depth_m[half.slices] = 0.8 * self.facts.depth_range_m[0]
-        measured = RealDepth.of(
-            0, 1.0, "", tile_ranges(depth_m, (camera.width, camera.height))
-        )
-        facts = self.facts.with_(real_depth=measured)
+        ranges = tile_ranges(depth_m, (camera.width, camera.height))
+        facts = self.facts.with_(real_depth=RealDepth.of(0, 1.0, "", ranges))
         return BenchScene(self.scene, facts, self.plate, depth_m.astype(np.float32))
 
 
@@ -98,21 +92,9 @@ def bench_scene(
     rotation = down @ tilt
     centre = np.array([0, 0, _DIAMETER_M / 2])
     pose = Pose(rotation, np.array([0, 0, distance]) - rotation @ centre)
-    scene = Scene(
-        camera,
-        model,
-        Placement(fit_m=_DIAMETER_M).world_from_model(model),
-        (marker,),
-        {marker.key: Pose.identity()},
-    )
-    seen = FrameFacts(
-        0,
-        0.0,
-        status=MEASURED,
-        camera_from_world=pose,
-        raw_camera_from_world=pose,
-        opacity=1.0,
-    )
+    placed = Placement(fit_m=_DIAMETER_M).world_from_model(model)
+    scene = Scene(camera, model, placed, (marker,), {marker.key: Pose.identity()})
+    seen = FrameFacts(0, 0.0, 0, MEASURED, pose, pose, opacity=1.0)
     (facts,) = with_model([seen], scene)
     plate = np.random.default_rng(0).uniform(0.05, 0.8, (height, width, 3))
     return BenchScene(scene, facts, plate.astype(np.float32))

@@ -13,7 +13,7 @@ import json
 import time
 import tomllib
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -60,56 +60,43 @@ def fit(runs: Runs, terms: Iterable[str]) -> Price:
     names = [t for t in terms if any(row.get(t, 0.0) > 0 for row in runs.terms)]
     if not names:
         raise ValueError("nothing to fit")
-    if (
-        len(runs.seconds) <= len(names) and "mpx" in names
-    ):  # too few to tell terms apart: by pixels, and what is there or not
+    if len(runs.seconds) <= len(names) and "mpx" in names:
+        # too few to tell terms apart: by pixels, and what is there or not
         names = [t for t in names if t in ("mpx", "depth_mpx") or t.startswith("new_")]
     rows = np.array([[row.get(t, 0.0) for t in names] for row in runs.terms], float)
     measured = np.array(runs.seconds)
     found = _coefficients(rows, measured)
     fitted = np.maximum(rows @ found, 1e-9)
     free = max(len(measured) - int((found > 0).sum()), 1)
-    deviation = float(np.sqrt((np.log(measured / fitted) ** 2).sum() / free))
-    spread = min(
-        max(
-            max(deviation, LEAST_SPREAD) * (1 + 1.0 / free),
-            _cross_validation_error(rows, measured),
-        ),
-        1.0,
-    )
+    deviation = np.sqrt((np.log(measured / fitted) ** 2).sum() / free)
+    spread = max(deviation, LEAST_SPREAD) * (1 + 1.0 / free)
     return Price(
         {t: float(c) for t, c in zip(names, found, strict=True) if c > 0},
-        spread,
+        float(min(max(spread, _cross_validation_error(rows, measured)), 1.0)),
         len(measured),
     )
 
 
 def _coefficients(rows: np.ndarray, measured: np.ndarray) -> np.ndarray:
     """Two rounds: outliers of a busy machine, mostly upwards, get less weight in the second."""
-    weight = 1.0 / measured
-    found, _ = nnls(rows * weight[:, None], measured * weight)
-    off = np.abs(measured - rows @ found) / measured
-    weight = (
-        weight
-        * np.minimum(1.0, np.maximum(np.median(off), 0.02) * 2 / np.maximum(off, 1e-9))
-        ** 0.5
-    )
-    return np.asarray(nnls(rows * weight[:, None], measured * weight)[0])
+    relative, ones = rows / measured[:, None], np.ones(len(measured))
+    off = np.abs(1 - relative @ nnls(relative, ones)[0])
+    usual = max(float(np.median(off)), 0.02)
+    weight = np.minimum(1.0, 2 * usual / np.maximum(off, 1e-9)) ** 0.5
+    return np.asarray(nnls(relative * weight[:, None], weight)[0])
 
 
 def _cross_validation_error(rows: np.ndarray, measured: np.ndarray) -> float:
     """Root mean square of log(measured / predicted) of each scene from a fit to the others;
     0 for fewer than three scenes.
     """
-    _, scene = np.unique(rows.round(9), axis=0, return_inverse=True)
-    if scene.max() < 2:
-        return 0.0
-    off = []
-    for k in range(scene.max() + 1):
-        out = scene == k
+    scenes = np.unique(rows.round(9), axis=0)
+    off = [0.0]
+    for scene in scenes if len(scenes) > 2 else ():
+        out = (rows.round(9) == scene).all(1)
         fitted = np.maximum(rows[out] @ _coefficients(rows[~out], measured[~out]), 1e-9)
         off.append(float(np.clip(np.log(measured[out] / fitted), -1, 1).mean()))
-    return float(np.sqrt(np.mean(np.square(off))))
+    return float(np.linalg.norm(off)) / len(scenes) ** 0.5
 
 
 def calibrate(
@@ -151,14 +138,9 @@ def calibrate(
             # of levels for which there was no time
             spread = max(shipped.spread, UNCALIBRATED)
             prices.setdefault(key, replace(shipped, spread=spread))
-    share = float(np.clip(np.median(alone), 0.1, 1.0)) if alone else 1.0
-    return Prices(
-        prices,
-        concurrency,
-        f"measured on this machine in {time.perf_counter() - began:.0f} s",
-        True,
-        share,
-    )
+    share = float(np.clip(np.median(alone or [1.0]), 0.1, 1.0))
+    source = f"measured on this machine in {time.perf_counter() - began:.0f} s"
+    return Prices(prices, concurrency, source, True, share)
 
 
 def _stage_of(key: str) -> str:
@@ -173,7 +155,7 @@ def _terms_of(key: str) -> Collection[str]:
     name = _stage_of(key)
     stage = STAGES.get(name, Stage)  # encoding and the like: the usual terms
     deep = "depth" in stage.facts and name not in ON_DEPTH
-    return dict.fromkeys((*stage.terms, *(("depth_mpx",) if deep else ())))
+    return dict.fromkeys([*stage.terms, *["depth_mpx"] * deep])
 
 
 def save_prices(prices: Prices) -> Path:
@@ -210,29 +192,21 @@ def _time_scene(
         if sum(prepared.seconds) < PREPARE_S:
             prepare = partial(cell.frame.prepared.at, cell.stage, cell.level)
             prepared.add(cell.terms(), watch.of(prepare))
-        if slow:
-            _time_slow(cell, runs, watch)
-        else:
-            alone += _time_fast(cell, at, runs, watch)
+        once = [term for term in cell.stage.terms if term.startswith("new_")]
+        if not slow:
+            alone += _time_fast(cell, at, once, runs, watch)
+            continue
+        # seconds long: what loading it takes hardly shows
+        for new in [once, []] if once else [[]]:
+            runs.add({**cell.terms(), **dict.fromkeys(new, 1.0)}, watch.of(cell.render))
     return alone
 
 
-def _once(cell: Cell) -> list[str]:
-    """Terms of what is done once for a new light."""
-    return [term for term in cell.stage.terms if term.startswith("new_")]
-
-
-def _time_slow(cell: Cell, runs: Runs, watch: Stopwatch) -> None:
-    """Seconds long: what loading it takes hardly shows."""
-    once = dict.fromkeys(_once(cell), 1.0)
-    for new in [once, {}] if once else [{}]:
-        runs.add({**cell.terms(), **new}, watch.of(cell.render))
-
-
-def _time_fast(cell: Cell, at: BenchScene, runs: Runs, watch: Stopwatch) -> list[float]:
-    """Returns as `_time_scene`."""
-    terms, new, alone = cell.terms(), _once(cell), []
-    perturbed = _perturbed_light(at)
+def _time_fast(
+    cell: Cell, at: BenchScene, once: Sequence[str], runs: Runs, watch: Stopwatch
+) -> list[float]:
+    """once : terms of what is done once for a new light. Returns as `_time_scene`."""
+    terms, alone, perturbed = cell.terms(), [], _perturbed_light(at)
 
     def render() -> None:
         cell.render(perturbed())
@@ -245,10 +219,10 @@ def _time_fast(cell: Cell, at: BenchScene, runs: Runs, watch: Stopwatch) -> list
         alone.append(watch.of(render) / runs.seconds[-1])
     ambient = replace(perturbed(), light=Light(ambient_rgb=(0.5, 0.5, 0.5), lights=()))
     fewer = cell.terms(ambient)
-    if any(fewer[t] != terms[t] for t in cell.stage.terms if t not in new):
+    if any(fewer[t] != terms[t] for t in cell.stage.terms if t not in once):
         cell.render(ambient)
         runs.add(fewer, watch.of_concurrent(partial(cell.render, ambient)))
-    for term in new:
+    for term in once:
         seconds = watch.of_concurrent(partial(cell.render, _new_light(at, runs)))
         runs.add({**terms, term: 1.0}, seconds)
     return alone
@@ -303,18 +277,15 @@ def _perturbed_light(at: BenchScene) -> Callable[[], FrameFacts]:
     """The scene's facts, with surroundings as from an analysis and a light that is never
     quite the same, as a measured one: what is kept for a light in steps is kept, what is
     made for the very light is made every time."""
-    sky = (
-        face_directions(ENVIRONMENT_SIZE)[..., 2:].clip(0) * np.array([0.5, 0.55, 0.6])
-        + 0.2
-    )
+    up = face_directions(ENVIRONMENT_SIZE)[..., 2:].clip(0)
+    sky = up * np.array([0.5, 0.55, 0.6]) + 0.2
     environment = CubeMap.of(sky, None, np.full(3, 0.3))
     light, count = at.scene.light, itertools.count()  # threads ask for the next at once
 
     def facts() -> FrameFacts:
         red, green, blue = light.ambient_rgb
-        perturbed = replace(
-            light, ambient_rgb=(red * (1 + 1e-6 * next(count)), green, blue)
-        )
+        ambient = (red * (1 + 1e-6 * next(count)), green, blue)
+        perturbed = replace(light, ambient_rgb=ambient)
         return at.facts.with_(light=perturbed, environment=environment)
 
     return facts

@@ -9,6 +9,7 @@ import itertools
 import queue
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -70,10 +71,8 @@ def _edit(
                 frame.edited(rect, plate, np.clip(plate * np.float32(0.9), 0, 1))
 
         edit()
-        seconds = watch.of_concurrent(edit)
-        timed["edit"].add(
-            {"frames": 1.0, "mpx": 2 * rect.area / 1e6}, seconds / len(frames[:6])
-        )
+        seconds = watch.of_concurrent(edit) / len(frames[:6])
+        timed["edit"].add({"frames": 1.0, "mpx": 2 * rect.area / 1e6}, seconds)
 
 
 def _encode(
@@ -84,29 +83,15 @@ def _encode(
     codec: str,
     watch: Stopwatch,
 ) -> None:
-    out = (
-        folder / f"{codec}-%03d.{codec}"
-        if CODECS[codec].sequence
-        else folder / f"{codec}.mkv"
-    )
-    plan = plan_output(info, out, OutputSettings(codec))
+    name = f"{codec}-%03d.{codec}" if CODECS[codec].sequence else f"{codec}.mkv"
+    plan = plan_output(info, folder / name, OutputSettings(codec))
     paths: list[Path] = []
     number = itertools.count()
     # a picture belongs to one thread: the library keeps with it what it converts it by
     unused: queue.SimpleQueue[list[Frame]] = queue.SimpleQueue()
     for _ in range(watch.concurrency):
-        unused.put(
-            [
-                Frame(
-                    copy_picture(f.picture, f.format.layout),
-                    f.format,
-                    f.index,
-                    f.pts,
-                    f.key,
-                )
-                for f in frames
-            ]
-        )
+        copies = (copy_picture(f.picture, f.format.layout) for f in frames)
+        unused.put([replace(f, picture=p) for f, p in zip(frames, copies, strict=True)])
 
     def encode() -> None:
         path = folder / f"{codec}-{info.width}-{next(number)}{chunk_suffix(plan)}"
@@ -121,17 +106,14 @@ def _encode(
     if codec in USUAL:
         encode()  # loads it
     for _ in range(2 if codec in USUAL else 1):
-        seconds = watch.of_concurrent(encode)
-        timed[f"encode {codec}"].add({"frames": 1.0, "mpx": mpx}, seconds / len(frames))
+        seconds = watch.of_concurrent(encode) / len(frames)
+        timed[f"encode {codec}"].add({"frames": 1.0, "mpx": mpx}, seconds)
     if codec == JOINED:
         first = [f.pts for f in frames]
         step = first[-1] - first[0] + max(first[1] - first[0], 1)
-        pts = [p + k * step for k in range(2) for p in first]
-        seconds = watch.of(
-            lambda: join_chunks(
-                paths[:2], pts, plan, info, paths[0].with_name("joined.mkv")
-            )
-        )
+        pts = [*first, *(p + step for p in first)]
+        joined = paths[0].with_name("joined.mkv")
+        seconds = watch.of(lambda: join_chunks(paths[:2], pts, plan, info, joined))
         timed["join"].add({"frames": float(len(pts)), "mpx": len(pts) * mpx}, seconds)
 
 
@@ -147,15 +129,11 @@ def write_clip(path: Path, width: int, height: int, frames: int) -> Path:
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
         for i in range(frames):
             t = i / 30
-            move = np.array(
-                cv2.getRotationMatrix2D(
-                    (width / 20, height / 20), 15 + 2 * np.sin(t), 10
-                ),
-                float,
-            )
-            move[:, 2] += 0.4 * np.array([width, height]) + 0.02 * width * np.array(
-                [np.sin(0.9 * t), np.sin(1.1 * t)]
-            )
+            middle = (width / 20, height / 20)
+            turn = cv2.getRotationMatrix2D(middle, 15 + 2 * np.sin(t), 10)
+            sway = 0.02 * width * np.sin([0.9 * t, 1.1 * t])
+            move = np.array(turn, float)
+            move[:, 2] += 0.4 * np.array([width, height]) + sway
             picture = cv2.warpAffine(
                 table, move, (width, height), borderMode=cv2.BORDER_REFLECT
             )

@@ -9,9 +9,9 @@ holds the ids seen."""
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,6 @@ from arfx.core.numerics import angle_between, divide
 from arfx.core.pose import Pose
 from arfx.measure.truth import quantiles
 from arfx.media.clip import PHOTO, ClipInfo
-from arfx.media.frame import Frame
 from arfx.media.frames import ClipReader
 
 MIN_SIDE_PX = 12.0  # smaller squares are found in any texture
@@ -52,12 +51,10 @@ class Found:
 
     family: str
     id: int
-    frames: list[int] = field(default_factory=list)
     sides_px: list[float] = field(default_factory=list)
     blurs_px: list[float] = field(default_factory=list)
     tilts_deg: list[float] = field(default_factory=list)
     quads: dict[int, list[np.ndarray]] = field(default_factory=dict)
-    twice: int = 0
     counted: set[int] = field(default_factory=set)
     sure: bool = False
     why: str = ""
@@ -71,12 +68,12 @@ class Found:
             "marker": self.key,
             "family": self.family,
             "id": self.id,
-            "frames": len(self.frames),
+            "frames": len(self.quads),
             "looked": looked,
             "side_px": _spread(self.sides_px),
             "blur_px": _spread(self.blurs_px),
             "tilt_deg": _spread(self.tilts_deg),
-            "twice_in_a_frame": self.twice,
+            "twice_in_a_frame": sum(len(quads) - 1 for quads in self.quads.values()),
             **({"why": self.why} if self.why else {}),
         }
 
@@ -91,7 +88,7 @@ def inspect(
     Raises InputError where no frame can be decoded."""
     detector = MarkerDetector(SCANNED_FAMILIES, MIN_SIDE_PX)
     found: dict[str, Found] = {}
-    looked: dict[int, tuple[float, ...]] = {}  # light of the frames that are searched
+    light: dict[int, tuple[float, ...]] = {}  # of the frames that are searched
     thumbnails = []
     lowest, highest = (0, 255) if info.full_range else (16, 235)
     with ClipReader(info) as reader:
@@ -99,19 +96,21 @@ def inspect(
         pts = times.pts if times else [frame.pts for frame in reader.frames()]
         whole, last = len(pts) <= READ_WHOLE, max(len(pts) - 1, 0)
         count = max(min(samples, len(pts)), 1)
-        at = {round(i) for i in np.linspace(0, last, count)}
-        for frame in reader.frames() if whole else _frames_at(reader, pts, sorted(at)):
+        at = sorted({round(i) for i in np.linspace(0, last, count)})
+        sampled = (islice(reader.frames(pts[i], pts[i], i), 1) for i in at)
+        for frame in reader.frames() if whole else chain.from_iterable(sampled):
             luma = frame.luma()
             if whole:
                 thumbnails.append(thumbnail(luma))
             if frame.index in at:
                 level = divide(float(luma.mean()) - lowest, highest - lowest)
                 ends = (luma >= highest).mean(), (luma <= lowest).mean()
-                looked[frame.index] = (float(level), *map(float, ends))
+                light[frame.index] = (float(level), *map(float, ends))
                 _record(found, detector.search(luma), frame.index, luma, camera)
         truncated = reader.truncated
     markers, left_out = confirmed(found)
-    levels, clipped, dark = zip(*looked.values(), strict=True) if looked else ((), (), ())
+    looked = len(light)
+    levels, clipped, dark = np.reshape([*light.values()], (-1, 3)).T.tolist()
     one, two = (unlikeness(thumbnails, apart) for apart in (1, 2))
     return {
         "clip": {
@@ -120,15 +119,13 @@ def inspect(
             **_times(pts or [info.start_pts], info),
             "truncated": truncated,
         },
-        "samples": list(looked),
+        "samples": list(light),
         "markers": [
-            {**m.to_json(len(looked)), "size_of_first": relative_size(markers[0], m)}
+            {**m.to_json(looked), "size_of_first": relative_size(markers[0], m)}
             for m in markers
         ],
-        "left_out": [m.to_json(len(looked)) for m in left_out],
-        "marker_coverage": float(
-            divide(len({i for m in markers for i in m.frames}), len(looked))
-        ),
+        "left_out": [m.to_json(looked) for m in left_out],
+        "marker_coverage": len({i for m in markers for i in m.quads}) / max(looked, 1),
         "light": {
             "mean_level": _spread(levels),
             "clipped_fraction": max(clipped, default=0.0),
@@ -138,13 +135,6 @@ def inspect(
         "cuts": find_cuts(one, two, [False] * len(thumbnails)) if whole else None,
         "camera": None if camera is None else camera.source,
     }
-
-
-def _frames_at(
-    reader: ClipReader, pts: Sequence[int], at: Sequence[int]
-) -> Iterator[Frame]:
-    for i in at:
-        yield from islice(reader.frames(pts[i], pts[i], i), 1)
 
 
 def _times(pts: Sequence[int], info: ClipInfo) -> dict[str, Any]:
@@ -177,12 +167,9 @@ def _record(
         counts, sure = legible(luma, c)
         m.counted |= {index} if counts else set()
         m.sure |= sure
-        if index in m.quads:
-            m.twice += 1
-            m.quads[index].append(quad)
+        m.quads.setdefault(index, []).append(quad)
+        if len(m.quads[index]) > 1:
             continue
-        m.frames.append(index)
-        m.quads[index] = [quad]
         m.sides_px.append(c.side_px)
         blurs = side_blurs(luma, c.quad_px, cells_per_side(c.family), linear_table())
         if np.isfinite(blurs).any():
@@ -208,27 +195,28 @@ def confirmed(found: dict[str, Found]) -> tuple[list[Found], list[Found]]:
     """The markers to trust, most often seen first, under the smallest dictionary that holds
     them; and what is left out, with `why`: what lies in or around a better one, and what is
     neither plain by itself nor in HOLDS_FRAMES samples."""
-    kept, left_out = list[Found](), list[tuple[Found, Found | None]]()
+    kept, left_out, better = list[Found](), list[Found](), list[Found | None]()
     for m in sorted(
         found.values(),
-        key=lambda m: (-len(m.counted), not m.sure, -len(m.frames), m.family, m.id),
+        key=lambda m: (-len(m.counted), not m.sure, -len(m.quads), m.family, m.id),
     ):
-        better = next((k for k in kept if _same_place(m, k)), None)
-        if better is None and (m.sure or len(m.counted) >= HOLDS_FRAMES):
+        same = next((k for k in kept if _same_place(m, k)), None)
+        if same is None and (m.sure or len(m.counted) >= HOLDS_FRAMES):
             kept.append(m)
         else:
-            left_out.append((m, better))
-    for some in (kept, [m for m, _ in left_out]):
+            left_out.append(m)
+            better.append(same)
+    for some in (kept, left_out):
         highest = {
             m.family: max(k.id for k in some if k.family == m.family) for m in some
         }
         for m in some:
             m.family = smallest_family(m.family, highest[m.family])
-    for m, better in left_out:
+    for m, same in zip(left_out, better, strict=True):
         m.why = "not plain (white margin, clear cells), and in too few frames"
-        if better is not None:
-            m.why = f"read in the place of {better.key}"
-    return kept, [m for m, _ in left_out]
+        if same is not None:
+            m.why = f"read in the place of {same.key}"
+    return kept, left_out
 
 
 def _same_place(m: Found, better: Found) -> bool:
@@ -244,10 +232,8 @@ def _same_place(m: Found, better: Found) -> bool:
 
 
 def _inside(quad: np.ndarray, other: np.ndarray) -> bool:
-    x, y = quad.mean(0)
-    return (
-        cv2.pointPolygonTest(other.astype(np.float32), (float(x), float(y)), False) >= 0
-    )
+    middle = quad.mean(0).tolist()
+    return cv2.pointPolygonTest(other.astype(np.float32), middle, False) >= 0
 
 
 def _spread(values: Sequence[float]) -> dict[str, float] | None:
@@ -296,14 +282,11 @@ def suggestion(document: dict[str, Any], clip: Path, camera: Path | None) -> str
     measured on the print, SIZE2 … on prints of other sizes.
     """
     found = document["markers"]
+    if not found:
+        return ""
     sizes = zip(found, size_names(found), strict=True)
     markers = [f"--marker {m['marker']}:{size}" for m, size in sizes]
-    files = (
-        f"{shlex.quote(str(clip))} --camera {shlex.quote(str(camera or 'camera.yaml'))}"
-    )
-    if not markers:
-        return ""
+    files = shlex.join([str(clip), "--camera", str(camera or "camera.yaml")])
+    given = " ".join([files, *markers])
     out = "out.png" if document["clip"]["container"] == PHOTO else "out.mp4"
-    return (
-        f"arfx process {files} {' '.join(markers)} --model MODEL.glb --fit 15cm -o {out}"
-    )
+    return f"arfx process {given} --model MODEL.glb --fit 15cm -o {out}"

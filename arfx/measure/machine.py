@@ -48,10 +48,15 @@ PACKAGES = (
     "filelock",
     "tifffile",
 )
-LOW_MEMORY_MB, LOW_DISK_MB = (
-    1500,
-    2000,
-)  # a 1080p job peaks near 700 MB a worker; an hour of 1080p H.264 takes a few GB
+# of packages that share their folder with one of PACKAGES
+RIVALS = (
+    "opencv-python",
+    "opencv-python-headless",
+    "opencv-contrib-python",
+    "pyrender",
+)
+# a 1080p job peaks near 700 MB a worker; an hour of 1080p H.264 takes a few GB
+LOW_MEMORY_MB, LOW_DISK_MB = 1500, 2000
 
 
 @dataclass(frozen=True)
@@ -89,13 +94,10 @@ def examine(folder: Path) -> list[Check]:
 def _plugins() -> Iterator[Check]:
     for name in STAGES.plugins:
         wrong = STAGES.broken.get(name)
-        yield Check(
-            "plug-in",
-            name,
-            wrong is None,
-            wrong.message if wrong else "loads",
-            wrong.hint if wrong else "",
-        )
+        if wrong is None:
+            yield Check("plug-in", name, True, "loads")
+        else:
+            yield Check("plug-in", name, False, wrong.message, wrong.hint)
 
 
 def essentials_work(checks: list[Check]) -> bool:
@@ -107,32 +109,19 @@ def essentials_work(checks: list[Check]) -> bool:
 
 def _python() -> Iterator[Check]:
     ok = sys.version_info >= (3, 11)
-    yield Check(
-        "python",
-        "python",
-        ok,
-        f"{platform.python_version()}, {platform.platform()}",
-        "" if ok else "install Python 3.11 or newer",
-        essential=True,
-    )
+    here = f"{platform.python_version()}, {platform.platform()}"
+    fix = "" if ok else "install Python 3.11 or newer"
+    yield Check("python", "python", ok, here, fix, essential=True)
     yield Check("python", "arfx", True, arfx.__version__)
     for name in PACKAGES:
         found = _version(name)
         fix = "" if found else f"pip install {name}"
-        yield Check(
-            "package", name, bool(found), found or "not installed", fix, essential=True
-        )
-    for name in filter(
-        _version,
-        ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "pyrender"),
-    ):
-        yield Check(
-            "package",
-            name,
-            False,
-            "installs over the same folder as a package that arfx needs",
-            f"pip uninstall {name}, then install its counterpart above again",
-        )
+        said = found or "not installed"
+        yield Check("package", name, bool(found), said, fix, essential=True)
+    for name in filter(_version, RIVALS):
+        said = "installs over the same folder as a package that arfx needs"
+        fix = f"pip uninstall {name}, then install its counterpart above again"
+        yield Check("package", name, False, said, fix)
 
 
 def _version(name: str) -> str:
@@ -171,67 +160,36 @@ def _codecs() -> Iterator[Check]:
             except (ArfxError, av.error.FFmpegError, OSError, ValueError) as e:
                 why = str(e).splitlines()[0]
             package = "opencv-contrib-python-headless" if codec.sequence else "av"
-            yield Check(
-                "codec",
-                name,
-                not why,
-                why or f"{codec.encoder or name}, wrote and read back",
-                f"pip install --force-reinstall {package}" if why else "",
-                essential=name == "h264",
-            )
+            said = why or f"{codec.encoder or name}, wrote and read back"
+            fix = f"pip install --force-reinstall {package}" if why else ""
+            yield Check("codec", name, not why, said, fix, essential=name == "h264")
 
 
 def _resources(folder: Path) -> Iterator[Check]:
-    yield Check(
-        "machine",
-        "cores",
-        True,
-        f"{usable_cores()} usable of {os.cpu_count()}, {processor_name()}",
-    )
+    cores = f"{usable_cores()} usable of {os.cpu_count()}, {processor_name()}"
+    yield Check("machine", "cores", True, cores)
     free = free_mb()
     if free is not None:
         ok = free >= LOW_MEMORY_MB
-        yield Check(
-            "machine",
-            "memory",
-            ok,
-            f"{free:.0f} MB free",
-            "" if ok else "close programs, or --workers 1",
-        )
+        fix = "" if ok else "close programs, or --workers 1"
+        yield Check("machine", "memory", ok, f"{free:.0f} MB free", fix)
     try:
         disk = shutil.disk_usage(folder).free / 1e6
     except OSError as e:
-        yield Check(
-            "machine",
-            "disk",
-            False,
-            f"{folder}: {e.strerror}",
-            "run it in a folder that exists",
-        )
+        fix = "run it in a folder that exists"
+        yield Check("machine", "disk", False, f"{folder}: {e.strerror}", fix)
         return
     ok = disk >= LOW_DISK_MB
-    yield Check(
-        "machine",
-        "disk",
-        ok,
-        f"{disk:.0f} MB free in {folder}",
-        "" if ok else "free space for outputs",
-    )
+    fix = "" if ok else "free space for outputs"
+    yield Check("machine", "disk", ok, f"{disk:.0f} MB free in {folder}", fix)
 
 
 def _compiled() -> Check:
     lasting = compiled.cache_persists()
-    folder = compiled.code_folder(Path(arfx.__file__).parent / "media")
-    where = (
-        f"in {folder}"
-        if lasting
-        else "for one run: the next compiles again what did not come with the package"
-    )
-    fix = "" if lasting else "set NUMBA_CACHE_DIR to a folder that can be written"
-    return Check(
-        "machine",
-        "compiled code",
-        lasting,
-        f"for {compiled.target_cpu() or 'this very processor'}, kept {where}",
-        fix,
-    )
+    where = "for one run: the next compiles again what did not come with the package"
+    fix = "set NUMBA_CACHE_DIR to a folder that can be written"
+    if lasting:
+        where = f"in {compiled.code_folder(Path(arfx.__file__).parent / 'media')}"
+        fix = ""
+    said = f"for {compiled.target_cpu() or 'this very processor'}, kept {where}"
+    return Check("machine", "compiled code", lasting, said, fix)

@@ -3,30 +3,38 @@
 from __future__ import annotations
 
 import io
+import tomllib
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
 
 from arfx.analyse.pose.visibility import jitter_px
 from arfx.core.camera import Camera
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
 
-INK = "#7d8590"  # readable on white and on nearly black
+INK = "#7d8590"  # as in plots.toml
 RAW, SMOOTH, PREDICTED = "#d9822b", "#2f81f7", "#8b949e"
 STATUS_COLOUR = {MEASURED: "#2da44e", INTERPOLATED: "#d4a72c", ABSENT: "#cf5b56"}
 
 
+STYLE: Any = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
+styled = rc_context(STYLE)  # in which a figure of the pages is drawn
+
+
+@styled
 def pose_plot(
     facts: Sequence[FrameFacts], camera: Camera | None, points_m: np.ndarray | None
 ) -> bytes:
     """Trembling before and after smoothing, reprojection error, and each frame's status as
     a coloured strip.
     """
-    from matplotlib.colors import ListedColormap
-
     times = np.array([f.time_s for f in facts], float)
-    fig = drawing(9.0, 4.6)
+    fig = Figure((9.0, 4.6))
     jitter, error, strip = fig.subplots(3, 1, sharex=True, height_ratios=(5, 3, 0.7))
     if camera is not None and points_m is not None and len(facts) > 2:
         for raw, colour, label in (
@@ -63,29 +71,9 @@ def pose_plot(
     return png(fig)
 
 
-def drawing(width: float, height: float) -> Any:
-    """An empty figure of matplotlib, inches."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
-def png(fig: Any) -> bytes:
-    """The figure in the style of the pages."""
-    for axis in fig.axes:
-        axis.set_facecolor("none")
-        axis.tick_params(colors=INK, labelsize=8)
-        axis.set_title(axis.get_title(), fontsize=9, loc="left", color=INK)
-        axis.set_title("")
-        texts = [axis.xaxis.label, axis.yaxis.label]
-        if legend := axis.get_legend():
-            legend.set_frame_on(False)
-            texts += legend.get_texts()
-        for text in texts:
-            text.set(color=INK, fontsize=8)
-        for side, spine in axis.spines.items():
-            spine.set_color(INK)
-            spine.set_visible(side in ("left", "bottom"))
+@styled
+def png(fig: Figure) -> bytes:
+    """Of a figure that was drawn in the same style."""
     out = io.BytesIO()
-    fig.savefig(out, format="png", dpi=130, transparent=True)
+    fig.savefig(out, format="png")
     return out.getvalue()

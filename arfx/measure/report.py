@@ -60,9 +60,14 @@ def write_report(
         raise RenderError(
             f"report folder {folder} cannot be made: {e.strerror}", "name another place"
         ) from None
-    write(folder / "report.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
+    write_json(folder / "report.json", document)
     write(folder / "report.html", html)
     return folder / "report.html"
+
+
+def write_json(path: Path, document: Any) -> None:
+    """document : without what is not finite. Raises RenderError."""
+    write(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
 
 
 def report_of_job(job: Path, folder: Path) -> Path:
@@ -137,16 +142,10 @@ def _camera_and_cubes(
         parse(row["spec"]) for name, parse in kinds for row in job.get(name, [])
     ]
     specs = {spec.key: spec for spec in every}
-    poses = {
-        k: Pose.from_json(v)
-        for k, v in report["pose"].get("world_from_marker", {}).items()
-        if k in specs
-    }
-    heights = {
-        k: np.repeat([[0, 0, 0], [0, 0, specs[k].size_m]], 4, axis=0) for k in poses
-    }
-    cubes = [
-        pose.apply(np.tile(specs[k].corners_m, (2, 1)) + heights[k])
-        for k, pose in poses.items()
-    ]
+    cubes = []
+    for key, pose in report["pose"].get("world_from_marker", {}).items():
+        if key in specs:
+            heights = np.repeat([[0, 0, 0], [0, 0, specs[key].size_m]], 4, axis=0)
+            corners = np.tile(specs[key].corners_m, (2, 1)) + heights
+            cubes.append(Pose.from_json(pose).apply(corners))
     return camera, np.concatenate(cubes) if cubes else None

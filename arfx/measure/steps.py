@@ -50,12 +50,13 @@ class PreparedStages:
 
     def at(self, stage: Stage, level: str) -> ReadyStage:
         if (stage, level) not in self.ready:
-            seconds = PROCESSOR.of(partial(self._prepare, stage, level))
+            made = list[ReadyStage]()
+            seconds = PROCESSOR.of(
+                lambda: made.append(ReadyStage.of(stage, self.scene, level))
+            )
+            self.ready[stage, level] = made[0]
             self.prepare_s[stage.name, level] = seconds
         return self.ready[stage, level]
-
-    def _prepare(self, stage: Stage, level: str) -> None:
-        self.ready[stage, level] = ReadyStage.of(stage, self.scene, level)
 
 
 @dataclass(frozen=True)
@@ -101,10 +102,13 @@ class FrameRenderer:
     images: dict[Chain, np.ndarray] = field(default_factory=dict, init=False)
     seconds: dict[Chain, float] = field(default_factory=dict, init=False)
 
-    def chain(self, levels: Mapping[str, str]) -> Chain:
-        """levels : by stage; one that has none is left out"""
+    def chain(
+        self, levels: Mapping[str, str], stages: Mapping[str, Stage] | None = None
+    ) -> Chain:
+        """levels : by stage; one that has none is left out;  stages : None = the plan's"""
+        stages = stages or self.stages
         names = [s.stage for s in self.plan.steps if s.stage in levels]
-        return tuple((self.stages[name], levels[name]) for name in names)
+        return tuple((stages[name], levels[name]) for name in names)
 
     def run(self, chain: Chain) -> StageRun:
         """Its last step, upon those before it."""
@@ -140,15 +144,11 @@ class FrameRenderer:
         elif self.real_depth_m is not None:
             layers.put(Layer.REAL_DEPTH, self.real_depth_m, layers.rect, layers.rect)
         self.rendered[chain] = layers
-        cheap = [c for c in self.rendered if self._dearest_s(c) < SLOW_S]
+        slow = [c for c, seconds in self.seconds.items() if seconds >= SLOW_S]
+        cheap = [c for c in self.rendered if not any(c[: len(s)] == s for s in slow)]
         if len(cheap) > MOST_KEPT:
             del self.rendered[cheap[0]]
         return layers
-
-    def _dearest_s(self, chain: Chain) -> float:
-        """Of its slowest step."""
-        prefixes = (chain[: k + 1] for k in range(len(chain)))
-        return max((self.seconds.get(prefix, 0.0) for prefix in prefixes), default=0.0)
 
     def out(self, chain: Chain) -> Rect:
         """Of what the plan asks of the chain's last stage, that which the later stages need
@@ -217,6 +217,4 @@ def window_of(plan: FramePlan, facts: FrameFacts, frame: Rect, area_px: float) -
 
 
 def _srgb8(linear: np.ndarray) -> np.ndarray:
-    return np.asarray(
-        np.clip(np.rint(255 * SRGB.encode(np.clip(linear, 0, 1))), 0, 255), np.uint8
-    )
+    return np.rint(255 * SRGB.encode(np.clip(linear, 0, 1))).astype(np.uint8)

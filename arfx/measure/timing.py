@@ -8,7 +8,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
 from numba.core.event import install_timer
 
 
@@ -38,27 +37,19 @@ class Stopwatch:
     concurrency: int = 1
 
     def of(self, work: Callable[[], Any]) -> float:
-        clock, compiling = (
-            time.process_time if self.processor else time.perf_counter,
-            [0.0],
-        )
-        start = clock()
+        clock = time.process_time if self.processor else time.perf_counter
+        start, compiling = clock(), [0.0]
         with install_timer("numba:compile", compiling.append):
             work()
         return max(clock() - start - sum(compiling), 0.0)
 
     def of_concurrent(self, work: Callable[[], Any]) -> float:
         """Of one run, as many at once as `concurrency`."""
-        assert self.pool is not None
+        pool, count = self.pool, self.concurrency
+        assert pool is not None
         if self.processor:
-            pool = self.pool
-            return (
-                self.of(lambda: list(pool.map(lambda _: work(), range(self.concurrency))))
-                / self.concurrency
-            )
-        return float(
-            np.mean(list(self.pool.map(lambda _: self.of(work), range(self.concurrency))))
-        )
+            return self.of(lambda: [*pool.map(lambda _: work(), range(count))]) / count
+        return sum(pool.map(lambda _: self.of(work), range(count))) / count
 
 
 WALL = Stopwatch()

@@ -26,7 +26,7 @@ from arfx.core.stage import Stage, level_named
 from arfx.core.waiting import Progress
 from arfx.errors import NothingToDoError
 from arfx.measure.difference import Difference, difference, mean_flicker, touched
-from arfx.measure.steps import Chain, FrameRenderer, open_frames, window_of
+from arfx.measure.steps import FrameRenderer, open_frames, window_of
 from arfx.measure.tradeoff_frames import Sample, pick_frames
 from arfx.measure.tradeoff_pipelines import (
     LEFT_OUT,
@@ -42,6 +42,7 @@ from arfx.run.planned import Job
 from arfx.stages import ALWAYS
 
 REFERENCE_S, LEAST_PX = 60.0, 600
+PIPELINE = "pipeline"  # the name of rows that are no effect's
 # of a picture: comparing whole ones of 1080p took twice as long as the references
 MOST_PX = 600_000
 
@@ -85,37 +86,31 @@ class _Work:
     def sampled(self) -> list[FrameRenderer]:
         return [self.frames[i] for i in self.samples]
 
-    def stages(self, names: Collection[str]) -> Mapping[str, Stage]:
+    def stages(
+        self, names: Collection[str], other: Mapping[str, Stage] = OWN
+    ) -> Mapping[str, Stage]:
         """Those of the job, or, where others of it are left out, those of a job without
-        them: they may have other settings then.
+        them: they may have other settings then. other : some in place of these
         """
-        own = self.job.stages
-        if self.usual.keys() <= set(names):
-            return own
-        key = frozenset(names)
+        own, key = self.job.stages, frozenset(names)
+        if self.usual.keys() <= key:
+            return {**own, **other}
         if key not in self.left:
             left = stages_of(self.job.inputs.config.params, [n for n in own if n in key])
             self.left[key] = {
                 n: own[n] if repr(vars(stage)) == repr(vars(own[n])) else stage
                 for n, stage in left.items()
             }
-        return self.left[key]
-
-    def chain(
-        self, frame: FrameRenderer, levels: Levels, other: Mapping[str, Stage] = OWN
-    ) -> Chain:
-        """other : stages in place of the job's own"""
-        stages = {**self.stages(levels), **other}
-        return tuple((stages[stage.name], at) for stage, at in frame.chain(levels))
+        return {**self.left[key], **other}
 
     def image(
         self, frame: FrameRenderer, levels: Levels, other: Mapping[str, Stage] = OWN
     ) -> np.ndarray:
-        return frame.image(self.chain(frame, levels, other))
+        return frame.image(frame.chain(levels, self.stages(levels, other)))
 
     def step_time(self, name: str, row: Row) -> Prediction:
         """Of one step of a frame, upon what those before it make at their usual level."""
-        stages, names = {**self.stages(row.levels), **row.other}, list(row.levels)
+        stages, names = self.stages(row.levels, row.other), list(row.levels)
         before = [
             fast(stages[n], level_named(stages[n].levels, self.usual[n]))
             for n in names[: names.index(name)]
@@ -123,19 +118,29 @@ class _Work:
         return self.times.of((*before, (stages[name], row.levels[name])), self.sampled)
 
     def time(self, row: Row) -> Prediction:
-        """Of all steps of a frame."""
-        return sum_independent(self.step_time(n, row) for n in row.levels)
+        """Of a frame: the effect's step, or all of a pipeline."""
+        names = row.levels if row.name == PIPELINE else [row.name]
+        return sum_independent(self.step_time(n, row) for n in names)
+
+    def reference(self, name: str) -> Levels:
+        """Of an effect, with all others at their usual level, or of pipelines."""
+        if name == PIPELINE:
+            return self.best
+        return {**self.usual, name: self.best[name]}
 
     def usual_levels(self, other: Mapping[str, Stage]) -> dict[str, str]:
         """Those of the job's quality, or the nearest that these stages have."""
-        stages = {**self.job.stages, **other}
+        stages = self.stages(self.usual, other)
         return {n: level_named(stages[n].levels, at) for n, at in self.usual.items()}
 
-    def slow_chains(self, frame: FrameRenderer, sets: Iterable[Levels]) -> set[Chain]:
-        """The beginnings of these that end in a slow step."""
-        chains = [self.chain(frame, levels) for levels in sets]
+    def slow_s(self, frame: FrameRenderer, sets: Iterable[Levels]) -> np.ndarray:
+        """(2,) seconds by themselves, and for a pixel more, of the slow steps that these
+        levels take and that are not rendered yet.
+        """
+        chains = [frame.chain(levels, self.stages(levels)) for levels in sets]
         beginnings = {c[: k + 1] for c in chains for k in range(len(c))}
-        return {c for c in beginnings if self.times.is_slow(c)}
+        slow = filter(self.times.is_slow, beginnings - frame.rendered.keys())
+        return np.sum([(0, 0), *map(self.times.alone_and_per_px, slow)], axis=0)
 
 
 def measure(
@@ -150,15 +155,17 @@ def measure(
     window_px : area of the pictures; None = as REFERENCE_S allows
 
     Raises NothingToDoError where no frame shows the object."""
-    plans = {p.index: p for p in job.plan.frames}
+    steps = {p.index: [s.stage for s in p.steps] for p in job.plan.frames}
     picked = pick_frames(job.facts, job.inputs.camera.rect, frames)
-    samples = [s for s in picked if plans[s.index].steps]
+    samples = [s for s in picked if steps[s.index]]
     if not samples:
         raise NothingToDoError(
             "no frame of the clip shows the object: there is nothing to measure",
             "see `arfx plan`",
         )
-    work = _opened(job, [s.index for s in samples], flicker=only is None)
+    first, names = samples[0].index, steps[samples[0].index]
+    flickers = only is None and steps.get(first + 1) == names
+    work = _opened(job, [s.index for s in samples], names, flickers)
     other = {
         n: stage
         for n in (work.usual if only is None else ())
@@ -167,8 +174,8 @@ def measure(
     effects = [n for n in work.usual if len(job.stages[n].levels) > 1 or n in other]
     if only is not None:
         effects = [n for n in effects if n in only]
-    chains = [{**work.usual, n: work.best[n]} for n in effects]
-    _choose_windows(work, chains if only is not None else [work.best, *chains], window_px)
+    compared = effects if only is not None else [PIPELINE, *effects]
+    _choose_windows(work, [*map(work.reference, compared)], window_px)
     found = Measurements(samples, [], [], {i: f.window for i, f in work.frames.items()})
     total = len(effects) + 2
     for k, name in enumerate(effects):
@@ -178,20 +185,20 @@ def measure(
         progress("pipelines", len(effects), total)
         found.pipelines = _pipelines(work, found.effects)
     if other:
-        found.effects += [_of_other_formula(work, n, s) for n, s in other.items()]
-        found.pipelines.append(_other_pipeline(work, other))
+        found.effects += [_of_other_formula(work, n, {n: s}) for n, s in other.items()]
+        found.pipelines.append(_of_other_formula(work, PIPELINE, other))
     found.prepare_s = work.sampled[0].prepared.prepare_s
     progress("pipelines", total, total)
     return found
 
 
-def _opened(job: Job, samples: Sequence[int], flicker: bool) -> _Work:
-    """flicker : with the frame after the first sample, where the same stages run in it"""
-    steps = {p.index: [s.stage for s in p.steps] for p in job.plan.frames}
-    names, next_one = steps[samples[0]], samples[0] + 1
-    following = next_one if flicker and steps.get(next_one) == names else None
+def _opened(
+    job: Job, samples: Sequence[int], names: Sequence[str], flickers: bool
+) -> _Work:
+    """names : stages of the samples;  flickers : with the frame after the first sample"""
+    following = samples[0] + 1 if flickers else None
     stages, quality = job.stages, job.inputs.config.pipeline.quality
-    frames = open_frames(job, [*samples, *([] if following is None else [following])])
+    frames = open_frames(job, [*samples, *[samples[0] + 1] * flickers])
     whole = [replace(frames[i]) for i in samples]
     return _Work(
         job,
@@ -225,8 +232,7 @@ def _choose_windows(work: _Work, sets: Sequence[Levels], window_px: int | None) 
     frames = work.frames
     area = float(MOST_PX if window_px is None else window_px)
     if window_px is None:
-        slow = [c for frame in frames.values() for c in work.slow_chains(frame, sets)]
-        alone, per_px = np.sum([(0, 0), *map(work.times.alone_and_per_px, slow)], axis=0)
+        alone, per_px = np.sum([work.slow_s(f, sets) for f in frames.values()], axis=0)
         area = min(area, max((REFERENCE_S - alone) / max(per_px, 1e-9), LEAST_PX))
     for i in frames:
         shown = frames[i - 1] if i == work.following else frames[i]
@@ -238,7 +244,7 @@ def _of_stage(work: _Work, name: str, found: Measurements) -> list[Row]:
     """A row for each level, the reference's too, against the reference with all other
     stages at their usual level; the first tells what leaving out the effect would change,
     where a job can do without."""
-    stage, usual, best = work.job.stages[name], work.usual, work.best[name]
+    stage, usual, best = work.job.stages[name], work.usual, work.reference(name)
     formula = getattr(stage.params, "formula", "")
     rows = [
         Row(name, level, formula, levels={**usual, name: level}) for level in stage.levels
@@ -247,33 +253,33 @@ def _of_stage(work: _Work, name: str, found: Measurements) -> list[Row]:
     without = {n: level for n, level in usual.items() if n != name}
     if name not in ALWAYS:
         rows.insert(0, Row(name, LEFT_OUT, formula, levels=without))
-    chosen = {**usual, name: best}
-    _compare(work, rows, chosen, name)
+    _compare(work, rows)
     for row in levels:
-        row.time = work.step_time(name, row)
+        row.time = work.time(row)
     for i in rows[-1].by_frame:
         worst = max(levels[:-1], key=lambda r: r.by_frame[i].p99, default=None)
         if worst is not None:
             frame = work.frames[i]
-            coverage = frame.layer(work.chain(frame, chosen), Layer.COVERAGE)
+            chain = frame.chain(best, work.stages(best))
+            coverage = frame.layer(chain, Layer.COVERAGE)
             location = _location(worst.by_frame[i], coverage)
             found.locations.setdefault((name, worst.level), location)
     _measure_flicker(work, levels)
     return rows
 
 
-def _compare(work: _Work, rows: Sequence[Row], best: Levels, effect: str = "") -> None:
-    """Note each row's pictures and how far they are from those at `best` levels, where the
-    effect changes anything.
-
-    effect : left out of the others at their usual level; "" = against the frame as it was
+def _compare(work: _Work, rows: Sequence[Row]) -> None:
+    """Note the pictures of rows of one name, and how far they are from the reference's,
+    where it changes anything: what is there without the effect, or the frame as it was.
     """
+    name = rows[0].name
     for i, frame in zip(work.samples, work.sampled, strict=True):
-        if effect and effect not in {s.stage for s in frame.plan.steps}:
+        if name not in {PIPELINE, *(s.stage for s in frame.plan.steps)}:
             continue
-        reference = work.image(frame, best)
-        left = {n: at for n, at in work.usual.items() if n != effect}
-        without = work.image(frame, left) if effect else frame.original()
+        reference, without = work.image(frame, work.reference(name)), frame.original()
+        if name != PIPELINE:
+            left = {n: at for n, at in work.usual.items() if n != name}
+            without = work.image(frame, left)
         for r in rows:
             r.pictures[i] = work.image(frame, r.levels, r.other)
         where = touched((reference, without), *((reference, r.pictures[i]) for r in rows))
@@ -313,22 +319,15 @@ def _location(d: Difference, coverage: np.ndarray) -> str:
     return "on the object" if coverage[y, x] > 0.5 else "beside the object"
 
 
-def _of_other_formula(work: _Work, name: str, stage: Stage) -> Row:
-    """An effect under the other formula, at its usual level, against the job's own reference."""
-    other = {name: stage}
-    levels = work.usual_levels(other)
-    row = Row(name, levels[name], stage.params.formula, levels=levels, other=other)
-    _compare(work, [row], {**work.usual, name: work.best[name]}, name)
-    row.time = work.step_time(name, row)
-    return row
-
-
-def _other_pipeline(work: _Work, other: Mapping[str, Stage]) -> Row:
-    """The whole pipeline with every stage under the other formula."""
+def _of_other_formula(work: _Work, name: str, other: Mapping[str, Stage]) -> Row:
+    """An effect, or the whole pipeline, under the other formula, at usual levels, against
+    the job's own reference.
+    """
     formula = next(iter(other.values())).params.formula
     levels = work.usual_levels(other)
-    row = Row("pipeline", "usual", formula, levels=levels, other=other)
-    _compare(work, [row], work.best)
+    level = levels.get(name, "usual")
+    row = Row(name, level, formula, levels=levels, other=other)
+    _compare(work, [row])
     row.time = work.time(row)
     return row
 
@@ -341,23 +340,20 @@ def _pipelines(work: _Work, effects: Sequence[Row]) -> list[Row]:
     for quality in QUALITIES:
         levels = {n: level_named(stages[n].levels, quality) for n in work.usual}
         named.setdefault(
-            tuple(levels.values()), Row("pipeline", quality, "", levels=levels)
+            tuple(levels.values()), Row(PIPELINE, quality, "", levels=levels)
         )
     rows = list(named.values())
-    _compare(work, rows, work.best)
+    _compare(work, rows)
     mixed = []
     for levels in level_sets(effects, work.usual):
-        seconds = 0.0
-        for frame in work.sampled:
-            for chain in work.slow_chains(frame, [levels]) - frame.rendered.keys():
-                alone, per_px = work.times.alone_and_per_px(chain)
-                seconds += alone + per_px * frame.window.area
+        slow = [work.slow_s(f, [levels]) @ (1, f.window.area) for f in work.sampled]
+        seconds = float(np.sum(slow))
         if levels not in [r.levels for r in rows] and seconds <= left_s:
             left_s -= seconds
-            mixed.append(Row("pipeline", "mixed", "", levels=levels))
+            mixed.append(Row(PIPELINE, "mixed", "", levels=levels))
             for frame in work.sampled:
                 work.image(frame, levels)
-    _compare(work, rows + mixed, work.best)
+    _compare(work, rows + mixed)
     for r in rows + mixed:
         r.time = work.time(r)
     return worth_showing(rows + mixed)

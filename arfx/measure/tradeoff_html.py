@@ -6,16 +6,19 @@ Tables, plots, pictures side by side with their error maps times eight.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.figure import Figure
 
 from arfx.core.cost import Prediction
 from arfx.errors import RenderError
 from arfx.measure.difference import delta_e
-from arfx.measure.plots import INK, PREDICTED, RAW, SMOOTH, drawing, png
+from arfx.measure.plots import INK, PREDICTED, RAW, SMOOTH, png, styled
+from arfx.measure.report import write_json
 from arfx.measure.tradeoff import Measurements
 from arfx.measure.tradeoff_pipelines import LEFT_OUT, QUALITIES, Row, front
 from arfx.run.folder import write
@@ -29,9 +32,10 @@ MOST_BYTES = 5_000_000
 def write_tradeoff(
     folder: Path, found: Measurements, document: Mapping[str, Any]
 ) -> Path:
-    """Write tradeoff.html into `folder`; at most MOST_BYTES: pictures are coded coarser
-    until it fits. Returns its path.
+    """Write tradeoff.json and tradeoff.html into `folder`; the page has at most MOST_BYTES:
+    pictures are coded coarser until it fits. Returns its path.
     """
+    write_json(folder / "tradeoff.json", document)
     for quality in (90, 75, 55, 30):
         html = page(found, document, quality)
         if len(html.encode()) <= MOST_BYTES:
@@ -53,7 +57,6 @@ def page(found: Measurements, document: Mapping[str, Any], quality: int = 90) ->
         effects=found.effects,
         pipelines=found.pipelines,
         quality=quality,
-        levels_in_words=levels_in_words,
         pipeline_plot=pipeline_plot,
         effect_plot=effect_plot,
         most_different=most_different,
@@ -61,15 +64,6 @@ def page(found: Measurements, document: Mapping[str, Any], quality: int = 90) ->
         delta_e_map=delta_e_map,
         times=TIMES,
         most_delta_e=MOST_DELTA_E,
-    )
-
-
-def levels_in_words(pipeline: Mapping[str, Any], effects: Collection[str]) -> str:
-    """Of these effects: the others have no choice."""
-    return ", ".join(
-        f"{stage} {level}"
-        for stage, level in pipeline["levels"].items()
-        if stage in effects
     )
 
 
@@ -81,13 +75,8 @@ def error_map(reference: np.ndarray, picture: np.ndarray) -> np.ndarray:
 
 def delta_e_map(reference: np.ndarray, picture: np.ndarray) -> np.ndarray:
     """(h, w, 3) uint8: how visible the difference is, from black to white at MOST_DELTA_E."""
-    from matplotlib import colormaps
-
-    return np.asarray(
-        colormaps["inferno"](delta_e(reference, picture) / MOST_DELTA_E, bytes=True)[
-            ..., :3
-        ]
-    )
+    share = delta_e(reference, picture) / MOST_DELTA_E
+    return np.asarray(colormaps["inferno"](share, bytes=True)[..., :3])
 
 
 def most_different(rows: Sequence[Row], reference: Row) -> int:
@@ -103,10 +92,11 @@ def most_different(rows: Sequence[Row], reference: Row) -> int:
 FLOOR = 0.02  # grey levels: what is drawn for none
 
 
+@styled
 def effect_plot(rows: Sequence[Row]) -> bytes:
     """Mean and 99th percentile of each level of one effect; the other formula's point is a
     diamond."""
-    fig = drawing(6.4, 3.4)
+    fig = Figure((6.4, 3.4))
     axis = fig.subplots()
     levels = [r for r in rows if r.level != LEFT_OUT and not r.other]
     other = [r for r in rows if r.other]
@@ -118,9 +108,10 @@ def effect_plot(rows: Sequence[Row]) -> bytes:
     return _finished(fig, f"{rows[0].name}: error against its own reference")
 
 
+@styled
 def pipeline_plot(rows: Sequence[Row]) -> bytes:
     """Whole pipelines, the front of those that no other beats joined by a line."""
-    fig = drawing(7.6, 4.2)
+    fig = Figure((7.6, 4.2))
     axis = fig.subplots()
     best = _points(front([r for r in rows if not r.other]))
     axis.plot(*best, "-", color=SMOOTH, lw=1.2, label="Pareto front")

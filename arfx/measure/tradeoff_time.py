@@ -59,11 +59,8 @@ class Times:
         """
         if self.is_slow(chain):
             return mean([p for frame in pictures for p in self.scaled(frame, chain[-1])])
-        if chain not in self.whole:
-            self.whole[chain] = self._over_the_whole(chain)
-        return self.whole[chain]
-
-    def _over_the_whole(self, chain: Chain) -> Prediction:
+        if chain in self.whole:
+            return self.whole[chain]
         stage = chain[-1][0]
         known: list[float] = []
         added: list[float] = []
@@ -83,7 +80,9 @@ class Times:
                 run.at.memo.of_light.clear()
                 added.append(fraction * max(self.clock.of(rerun) - seconds, 0.0))
         parts = [float(np.mean(times)) for times in (known, added) if times]
-        return sum_independent(with_spread(seconds, LEAST_SPREAD) for seconds in parts)
+        spread = [with_spread(seconds, LEAST_SPREAD) for seconds in parts]
+        self.whole[chain] = sum_independent(spread)
+        return self.whole[chain]
 
     def alone_and_per_px(self, chain: Chain) -> tuple[float, float]:
         """Seconds that its last step takes by itself, and more of each pixel: in windows of

@@ -48,37 +48,32 @@ def pose_errors(
     marker hardly moves in the picture"""
     camera = Camera.from_json(truth.header["camera"])
     corners_m = MarkerSpec("", 0, size_m).corners_m
-    n = len(truth.frames)
-    rotation, position, mirrored = (
-        np.full(n, np.nan),
-        np.full(n, np.nan),
-        np.zeros(n, bool),
-    )
-    error, projected = np.full((n, 4, 2), np.nan), np.full((n, 4, 2), np.nan)
+    exact = [f.markers[key].camera_from_marker for f in truth.frames]
+    projected = np.array([camera.project(pose.apply(corners_m)) for pose in exact])
+    error = np.full_like(projected, np.nan)
     shots = np.array([f.shot for f in truth.frames])
-    for i, (estimate, frame) in enumerate(zip(estimates, truth.frames, strict=True)):
-        exact = frame.markers[key].camera_from_marker
-        projected[i] = camera.project(exact.apply(corners_m))
+    rotation_deg, position_mm, flips = list[float](), list[float](), 0
+    for i, (estimate, true) in enumerate(zip(estimates, exact, strict=True)):
         if estimate is None:
             continue
-        rotation[i] = np.degrees(rotation_angle_rad(estimate, exact))
-        position[i] = 1e3 * np.linalg.norm(estimate.translation_m - exact.translation_m)
-        view, normal = normalise(exact.translation_m), exact.rotation[:, 2]
-        mirrored[i] = (
-            estimate.rotation[:, 2] @ (2 * (normal @ view) * view - 2 * normal) > 0
-        )
         error[i] = camera.project(estimate.apply(corners_m)) - projected[i]
-    have = np.isfinite(rotation)
-    if not have.any():
+        off_m = np.linalg.norm(estimate.translation_m - true.translation_m)
+        position_mm.append(float(1e3 * off_m))
+        rotation_deg.append(float(np.degrees(rotation_angle_rad(estimate, true))))
+        view, normal = normalise(true.translation_m), true.rotation[:, 2]
+        twin = 2 * (normal @ view) * view - normal
+        mirrored = estimate.rotation[:, 2] @ (twin - normal) > 0
+        flips += bool(mirrored) and rotation_deg[-1] > FLIP_DEG
+    if not rotation_deg:
         return {"frames": 0}
     return {
-        "frames": int(have.sum()),
-        "rotation_deg": quantiles(rotation[have], median=50, p95=95, max=100),
-        "position_mm": quantiles(position[have], median=50, p95=95, max=100),
+        "frames": len(rotation_deg),
+        "rotation_deg": quantiles(rotation_deg, median=50, p95=95, max=100),
+        "position_mm": quantiles(position_mm, median=50, p95=95, max=100),
         "corner_px": float(np.sqrt(np.nanmean((error**2).sum(-1)))),
         "tremble_px": _jitter(error, shots),
         "lag_frames": _lag(error, projected, shots),
-        "flips": int((mirrored & have & (rotation > FLIP_DEG)).sum()),
+        "flips": flips,
     }
 
 
@@ -122,20 +117,18 @@ def presence(
     missed : some marker is in full view, the analysis says absent;  invented : measured
     where none can be seen
     bridged : interpolated frames;  unclear : markers cut or covered in part, not judged"""
-    kinds = ("seen", "missed", "hidden", "invented", "bridged", "unclear")
-    counts = dict.fromkeys(kinds, 0)
-    for fact, frame in zip(facts, truth.frames, strict=True):
-        best = max((frame.markers[k].visible for k in keys), default=0.0)
-        counts["bridged"] += fact.status == INTERPOLATED
-        if best >= SEEN:
-            counts["seen"] += 1
-            counts["missed"] += fact.status == ABSENT
-        elif best < HIDDEN:
-            counts["hidden"] += 1
-            counts["invented"] += fact.status not in (ABSENT, INTERPOLATED)
-        else:
-            counts["unclear"] += 1
-    return counts
+    best = [max((f.markers[k].visible for k in keys), default=0.0) for f in truth.frames]
+    seen, hidden = np.array(best) >= SEEN, np.array(best) < HIDDEN
+    status = np.array([f.status for f in facts])
+    found = {
+        "seen": seen,
+        "missed": seen & (status == ABSENT),
+        "hidden": hidden,
+        "invented": hidden & ~np.isin(status, (ABSENT, INTERPOLATED)),
+        "bridged": status == INTERPOLATED,
+        "unclear": ~seen & ~hidden,
+    }
+    return {kind: int(frames.sum()) for kind, frames in found.items()}
 
 
 def cuts(facts: Sequence[FrameFacts], truth: Truth) -> dict[str, int]:
@@ -185,12 +178,12 @@ def compare(
     under "single_frame".
     """
     world = world_key(world_from_marker, truth)
-    size = truth.header["markers"][world]
     world_from = world_from_marker[world]
 
     def errors(poses: Iterable[Pose | None]) -> dict[str, Any]:
+        """poses : of the camera from the world"""
         seen = [None if pose is None else pose @ world_from for pose in poses]
-        return pose_errors(seen, truth, world, size)
+        return pose_errors(seen, truth, world, truth.header["markers"][world])
 
     out: dict[str, Any] = {
         "frames": len(truth.frames),
@@ -199,11 +192,8 @@ def compare(
         "raw": errors(f.raw_camera_from_world for f in facts),
         "presence": presence(facts, truth, list(truth.header["markers"])),
         "cuts": cuts(facts, truth),
-        "single_frame": (
-            None
-            if single_frame is None
-            else pose_errors(single_frame, truth, world, size)
-        ),
+        "single_frame": single_frame
+        and pose_errors(single_frame, truth, world, truth.header["markers"][world]),
         "map": map_errors(world_from_marker, truth, world),
         "light": light_errors(facts, world_from_marker, truth),
     }
@@ -222,16 +212,14 @@ def world_key(world_from_marker: Mapping[str, Pose], truth: Truth) -> str:
     return next(k for k in truth.header["markers"] if k in world_from_marker)
 
 
-def exceeded(
-    figures: Mapping[str, Any], bounds: Mapping[str, Mapping[str, Any]]
-) -> list[str]:
+def exceeded(figures: Mapping[str, Any], bounds: Mapping[str, Any]) -> list[str]:
     """What breaks the bounds, one sentence each. bounds: {"max": {"arfx.flips": 0, …},
     "min": {…}, "is": {"static": "camera"}}.
 
     Keys are dotted. A figure that is bounded but missing breaks its bound."""
     broken = []
-    for kind, entries in bounds.items():
-        for dotted, limit in entries.items():
+    for kind in ("max", "min", "is"):
+        for dotted, limit in bounds.get(kind, {}).items():
             value: Any = figures
             for part in dotted.split("."):
                 value = value.get(part) if isinstance(value, Mapping) else None

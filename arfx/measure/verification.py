@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from arfx.analyse.pose.planar import both_poses
 from arfx.config.load import load
 from arfx.core import interrupt
 from arfx.core.camera import Camera
@@ -78,30 +79,18 @@ def verify(
             )
     truth = read_truth(made / "truth.jsonl")
     if truth.world is None:
-        raise NothingToDoError(
-            f"{made}: the scene has no configured marker, there is no pose to verify"
-        )
+        why = "the scene has no configured marker, there is no pose to verify"
+        raise NothingToDoError(f"{made}: {why}")
     bounds = read_tolerance(folder).get("truth", {})
-    output = (
-        work / "out.mkv"
-    )  # lossless, so that what is judged does not depend on an encoder's settings
-    config = load(
-        made / "job.toml",
-        {"output": {"path": str(output), "codec": "ffv1"}},
-        parameters(),
-    )
-    report = process(
-        config,
-        Options(
-            work / "job",
-            overwrite=True,
-            workers=workers,
-            progress=progress,
-            notice=notice,
-        ),
-    )
-    interrupt.resume()
+    # lossless, so that what is judged does not depend on an encoder's settings
+    output = {"path": str(work / "out.mkv"), "codec": "ffv1"}
+    config = load(made / "job.toml", {"output": output}, parameters())
     job = JobFolder(work / "job")
+    options = Options(
+        job.path, overwrite=True, workers=workers, progress=progress, notice=notice
+    )
+    report = process(config, options)
+    interrupt.resume()
     facts = list(read_facts(job.facts))
     if len(facts) != len(truth.frames):
         raise InputError(
@@ -123,8 +112,7 @@ def verify(
     figures["time_error_s"] = max(
         abs(f.time_s - t.time_s) for f, t in zip(facts, truth.frames, strict=True)
     )
-    limits = {k: v for k, v in bounds.items() if k in ("max", "min", "is")}
-    return Verified(figures, exceeded(figures, limits), output, report)
+    return Verified(figures, exceeded(figures, bounds), work / "out.mkv", report)
 
 
 def read_tolerance(folder: Path) -> dict[str, Any]:
@@ -148,35 +136,15 @@ def single_frame_poses(
     settings = cv2.aruco.DetectorParameters()
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     detector = cv2.aruco.ArucoDetector(dictionary(marker.family), settings)
+    out = list[Pose | None]()
     with ClipReader(probe(clip)) as reader:
-        return [
-            _pose(detector, np.ascontiguousarray(frame.luma()), camera, marker)
-            for frame in reader.frames()
-        ]
-
-
-def _pose(
-    detector: cv2.aruco.ArucoDetector,
-    luma: np.ndarray,
-    camera: Camera,
-    marker: MarkerSpec,
-) -> Pose | None:
-    corners, ids, _ = detector.detectMarkers(luma)
-    for found, number in zip(
-        corners, [] if ids is None else np.asarray(ids).ravel(), strict=False
-    ):
-        if number != marker.id:
-            continue
-        points = np.asarray(found, float).reshape(4, 2)
-        ok, rotations, translations, _ = cv2.solvePnPGeneric(
-            marker.corners_m,
-            camera.normalised(points),
-            np.eye(3),
-            None,
-            flags=cv2.SOLVEPNP_IPPE_SQUARE,
-        )
-        if ok:
-            return Pose.from_rotvec(
-                np.asarray(rotations[0]).ravel(), np.asarray(translations[0]).ravel()
-            )
-    return None
+        for frame in reader.frames():
+            luma = np.ascontiguousarray(frame.luma())
+            corners, ids, _ = detector.detectMarkers(luma)
+            numbers = [] if ids is None else ids.ravel().tolist()
+            poses = np.zeros((0, 2, 3))
+            if marker.id in numbers:
+                found = corners[numbers.index(marker.id)].reshape(4, 2).astype(float)
+                poses = both_poses(marker.corners_m, camera.normalised(found))
+            out.append(Pose.from_rotvec(*poses[0]) if len(poses) else None)
+    return out

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from decimal import Decimal
 from typing import Any
 
+import matplotlib.figure
 import numpy as np
 
-from arfx.measure.plots import drawing
+from arfx.measure.plots import styled
 
 HOLDS, DIFFERS, UNDERIVED = "holds", "differs, explained", "cannot be derived"
 VERDICTS = (HOLDS, DIFFERS, UNDERIVED)
@@ -153,6 +154,7 @@ class Bars:
     series: Mapping[str, Sequence[float | tuple[float, float] | None]]
 
 
+@styled
 def curves(
     item: str,
     title: str,
@@ -163,7 +165,7 @@ def curves(
     """A plot of values over x, a colour for each series, from that of the printed method on.
 
     labels : of the axes"""
-    figure = drawing(7.6, 3.2)
+    figure = matplotlib.figure.Figure((7.6, 3.2))
     axis = figure.subplots()
     for (name, values), colour in zip(series.items(), COLOURS[1:], strict=False):
         axis.plot(x, values, label=name, color=colour)

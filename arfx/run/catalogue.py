@@ -11,12 +11,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin
 
-from arfx.config.load import suggestion
-from arfx.config.sections import Length, Time, section_models
-from arfx.core.cost import load_prices
+from arfx.config.load import all_sections, suggestion
+from arfx.config.sections import Length, Time, option_of
+from arfx.core.cost import Price, load_prices
 from arfx.core.marker import MarkerSpec, PatternSpec
 from arfx.errors import ConfigError
-from arfx.papers import CORRECTED
 from arfx.plan.errors import shipped_errors
 from arfx.run.pages import render
 from arfx.run.parameters import parameters
@@ -43,51 +42,31 @@ WRITES = {
 }
 
 
-def _sections() -> dict[str, Mapping[str, Any]]:
-    """Sections of a job file that belong to no stage, with their models by formula."""
-    own = {name: {CORRECTED: model} for name, model in section_models().items()}
-    return own | {n: kinds for n, kinds in parameters().items() if n not in STAGES}
-
-
 def sections() -> list[str]:
     """Names of the sections of a job file that belong to no stage."""
-    return [*_sections()]
+    return [name for name in all_sections(parameters()) if name not in STAGES]
+
+
+def everything() -> dict[str, Any]:
+    """All stages in running order, and the other sections, each as `describe` has it."""
+    return {"stages": [*map(describe, STAGES)], "sections": [*map(describe, sections())]}
 
 
 def describe(name: str) -> dict[str, Any]:
     """A stage or section as data; errors in grey levels, prices in ms. Raises ConfigError
     for a name that is neither.
     """
-    if name in STAGES:
-        return _stage(name)
-    kinds = _sections().get(name)
-    if kinds is None:
+    every = all_sections(parameters())
+    if name not in every:
         raise ConfigError(
-            f"there is no stage or section {name!r}",
-            suggestion(name, [*STAGES, *sections()]),
+            f"there is no stage or section {name!r}", suggestion(name, every)
         )
-    about = _about(next(iter(kinds.values()))).partition("\n\n")[0]
-    return {"name": name, "about": about, "settings": _of_formulas(kinds)}
-
-
-def _stage(name: str) -> dict[str, Any]:
-    stage = STAGES[name]
-    errors, prices = shipped_errors(), load_prices()
-    levels = []
-    for level in stage.levels:
-        price = prices.prices.get(f"{name}/{level}")
-        terms = (
-            None
-            if price is None
-            else {term: 1e3 * s for term, s in price.coefficients.items() if s}
-        )
-        levels.append(
-            {
-                "level": level,
-                "error": errors.known(name, level, stage.levels[-1]),
-                "price_ms": terms,
-            }
-        )
+    settings = _of_formulas(every[name])
+    if name not in STAGES:
+        kind = next(iter(every[name].values()))
+        about = inspect.cleandoc(kind.__doc__ or "").partition("\n\n")[0]
+        return {"name": name, "about": about, "settings": settings}
+    stage, errors, prices = STAGES[name], shipped_errors(), load_prices()
     about = stage.__dict__.get("__doc__") or inspect.getmodule(stage).__doc__ or ""
     return {
         "name": name,
@@ -96,14 +75,23 @@ def _stage(name: str) -> dict[str, Any]:
         "requires": ["depth"] if name in ON_DEPTH else [],
         "facts": sorted(stage.facts),
         "writes": WRITES.get(name, ["image"]),
-        "levels": levels,
+        "levels": [
+            {
+                "level": level,
+                "error": errors.known(name, level, stage.levels[-1]),
+                "price_ms": _price_ms(prices.prices.get(f"{name}/{level}")),
+            }
+            for level in stage.levels
+        ],
         "prices": prices.source,
-        "settings": _of_formulas(parameters()[name]),
+        "settings": settings,
     }
 
 
-def _about(kind: type) -> str:
-    return inspect.cleandoc(kind.__doc__ or "")
+def _price_ms(price: Price | None) -> dict[str, float] | None:
+    if price is None:
+        return None
+    return {term: 1e3 * s for term, s in price.coefficients.items() if s}
 
 
 def _of_formulas(kinds: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -122,13 +110,12 @@ def _of_formulas(kinds: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _row(name: str, field: Any) -> dict[str, Any]:
-    option = (field.json_schema_extra or {}).get("option", "").split()
     return {
         "name": name,
         "type": _words(field.annotation),
         "default": _plain(field.default),
         "text": field.description or "",
-        "option": " ".join([w for w in option if w.startswith("-")] or option),
+        "option": " ".join(option_of(field)[0]),
     }
 
 
@@ -154,15 +141,11 @@ def _plain(default: Any) -> Any:
     return default if isinstance(default, (bool, int, float, str)) else None
 
 
-def overview() -> str:
-    """All stages in running order and the other sections, one line each, in Markdown."""
-    return render(
-        "run/overview.jinja",
-        stages=map(describe, STAGES),
-        sections=sections(),
-        runs=_when,
-        summary=_summary,
-    )
+def overview(every: dict[str, Any]) -> str:
+    """All stages in running order and the other sections, one line each, in Markdown.
+    every : as `everything`
+    """
+    return render("run/overview.jinja", **every, runs=_when, summary=_summary)
 
 
 def _when(d: dict[str, Any]) -> str:
@@ -188,5 +171,6 @@ def text(d: dict[str, Any], prices: bool = True) -> str:
 
 def page() -> str:
     """docs/stages.md: everything, without this machine's prices."""
-    texts = [text(describe(name), prices=False) for name in [*STAGES, *sections()]]
-    return render("run/stages.jinja", overview=overview(), texts=texts) + "\n"
+    every = everything()
+    texts = [text(d, prices=False) for d in every["stages"] + every["sections"]]
+    return render("run/stages.jinja", overview=overview(every), texts=texts) + "\n"

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -39,6 +40,7 @@ def _templates() -> Environment:
         "json": json.dumps,
         "counted": counted,
         "percent": percent,
+        "cell": lambda text: re.sub("[\t\n]", " ", text),
     }
     return found
 

@@ -49,14 +49,11 @@ def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, 
     for row in rows:
         row["measured_s"] = spent.stages.get(row["name"], 0.0)
     plan, output = job.inputs.output, job.inputs.output.path
-    written = (
-        [output.with_name(output.name % f.index) for f in facts]
-        if plan.is_sequence
-        else [output]
-    )
-    size = sum(p.stat().st_size for p in written)
-    stream = info.to_json()
+    written = [output]
+    if plan.is_sequence:
+        written = [output.with_name(output.name % f.index) for f in facts]
     lit = {f.index for f in job.plan.frames if any(s.stage in _SHADING for s in f.steps)}
+    shaded = sum(f.light is not None and f.index in lit for f in facts)
     return {
         "input": {
             "path": str(info.path),
@@ -72,26 +69,19 @@ def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, 
             "missing": analysed.missing,
             "camera": job.inputs.camera.source,
             "camera_guessed": job.inputs.camera.guessed,
-            "stream": stream,
+            "stream": info.to_json(),
         },
         "output": {
             "path": str(output),
             "frames": len(facts),
             "seconds": seconds,
-            "bytes": size,
+            "bytes": sum(p.stat().st_size for p in written),
             "codec": plan.codec,
             "pixel_format": plan.pixel_format,
         },
         "model": model_size(job.scene, facts),
         "pose": _pose(job),
-        "light": (
-            analysed.summary["light"]
-            | {
-                "frames_shaded": sum(
-                    f.light is not None and f.index in lit for f in facts
-                )
-            }
-        ),
+        "light": analysed.summary["light"] | {"frames_shaded": shaded},
         "depth": analysed.summary.get("depth"),
         "lens": analysed.summary.get("footage_lens"),
         "stages": rows,
@@ -138,12 +128,10 @@ def _pose(job: Job) -> dict[str, Any]:
         ]
         for raw in (True, False)
     )
+    error = summary["reprojection_px"]
     return {
         **{k: v for k, v in summary.items() if k != "depth"},
-        "reprojection_px": {
-            **summary["reprojection_px"]["smoothed"],
-            "before_smoothing": summary["reprojection_px"]["raw"],
-        },
+        "reprojection_px": error["smoothed"] | {"before_smoothing": error["raw"]},
         # jitter of the object against its marker; the camera's own shake moves both and is
         # meant to stay
         "jitter_px": after[1],
@@ -169,22 +157,12 @@ def health(job: Job) -> Iterator[Check]:
         "camera calibration", known, "given", not camera.guessed, "field of view assumed"
     )
     claims = {} if file is None else calibration_claims(file)
-    if verdict := claims.get("verdict"):
-        yield Check(
-            "calibration's own verdict",
-            verdict,
-            "usable",
-            verdict in ("good", "usable"),
-            "calibrate again",
-        )
-    if (condition := claims.get("condition")) is not None:
-        yield Check(
-            "calibration condition number",
-            condition,
-            1e8,
-            condition <= 1e8,
-            "calibrate again",
-        )
+    again = "calibrate again"
+    if word := claims.get("verdict"):
+        ok = word in ("good", "usable")
+        yield Check("calibration's own verdict", word, "usable", ok, again)
+    if (number := claims.get("condition")) is not None:
+        yield Check("calibration condition number", number, 1e8, number <= 1e8, again)
     yield from checks(facts, summary)
     ran = levels_of(job.plan.frames)
     levels = {
@@ -196,31 +174,14 @@ def health(job: Job) -> Iterator[Check]:
     absent = sum(f.status == ABSENT for f in facts)
     yield Check("frames without a pose", absent, 0, absent == 0, "object left out there")
     missing = sum(count for _, count in job.analysed.missing)
-    state = truncated or (
-        "damaged" if job.analysed.damaged else "incomplete" if missing else "whole"
-    )
-    yield Check(
-        "source file",
-        state,
-        "whole",
-        state == "whole",
-        "processed to its last good frame",
-    )
-    yield Check(
-        "frames missing in the source",
-        missing,
-        0,
-        missing == 0,
-        f"left out: {places_in_words(job.analysed.missing)}",
-    )
+    state = "damaged" if job.analysed.damaged else "incomplete" if missing else "whole"
+    state, action = truncated or state, "processed to its last good frame"
+    yield Check("source file", state, "whole", state == "whole", action)
+    action = f"left out: {places_in_words(job.analysed.missing)}"
+    yield Check("frames missing in the source", missing, 0, missing == 0, action)
     for where in ("facts", "pictures"):
-        yield Check(
-            f"values that are not finite in the {where}",
-            0,
-            0,
-            True,
-            "the job would have stopped there",
-        )
+        name = f"values that are not finite in the {where}"
+        yield Check(name, 0, 0, True, "the job would have stopped there")
 
 
 def picture(

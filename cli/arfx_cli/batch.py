@@ -7,57 +7,27 @@ from typing import Any
 import click
 
 from arfx_cli.console import (
+    TABLE,
     Progress,
-    emit_json,
-    message_options,
-    overwrite_option,
+    arfx_command,
     print_table,
-    result_of,
     say,
     tell,
+    wrote_json,
 )
 from arfx_cli.job_options import job_config, job_options, run_options
 
-_HELP = {
-    "output": (
-        "Where each clip goes: out/{stem}.mp4. {stem} is the clip's name without its"
-        " ending, {parent} its folder's."
-    ),
-    "report_dir": (
-        "Folder for batch.json, batch.html and a report of each job; default: batch.*"
-        " beside the outputs."
-    ),
-    "job_dir": "Folder for a job folder of each clip, kept afterwards; default OUT.job.",
-    "resume": (
-        "Do what is missing: go on with interrupted jobs, leave alone what was done under"
-        " the same settings."
-    ),
-}
 
-
-def _options() -> list[click.Parameter]:
+def _options() -> list[click.Option]:
     """Those of `process`, but for its one clip."""
-    options = [p for p in job_options() if p.name != "clip"]
+    options = [p for p in job_options() if isinstance(p, click.Option)]
     for option in options:
-        if isinstance(option, click.Option) and option.name in _HELP:
-            option.help = _HELP[option.name]
-    return [
-        click.Argument(
-            ["inputs"], metavar="MANIFEST|FOLDER|CLIP...", nargs=-1, required=True
-        ),
-        *options,
-    ]
+        option.help = TABLE["batch"]["words"].get(option.name, option.help)
+    return options
 
 
-@click.command(params=_options())
-@click.option(
-    "--dry-run",
-    is_flag=True,
-    help="Plan every clip, with the predicted time of all; render nothing.",
-)
-@overwrite_option
-@message_options
-def command(inputs: tuple[str, ...], dry_run: bool, as_json: bool, **given: Any) -> None:
+@arfx_command("batch", *_options())
+def command(inputs: tuple[str, ...], dry_run: bool, **given: Any) -> None:
     """Process many clips: those of a table, of a folder, of a pattern such as
     'shots/*.mp4', or those that are named.
 
@@ -101,49 +71,10 @@ def command(inputs: tuple[str, ...], dry_run: bool, as_json: bool, **given: Any)
                 )
 
         document = (plan_batch if dry_run else run_batch)(jobs, options, started, ended)
-    if as_json:
-        emit_json(document)
-    else:
-        (_show_plans if dry_run else _show)(document)
+    if not wrote_json(document):
+        template = "measure/batch_plans.jinja" if dry_run else "measure/batch_table.jinja"
+        print_table(template, words=2, d=document)
     if not dry_run:
         say(f"summary: {(options.report or home_of(jobs)) / 'batch.html'}")
     if document["failed"]:
         click.get_current_context().exit(6)
-
-
-def _show(document: dict[str, Any]) -> None:
-    rows = [(r["clip"], result_of(r), f"{r['seconds']:.1f} s") for r in document["jobs"]]
-    print_table(_title(document), ("clip", "result", "time"), rows, words=2)
-
-
-def _show_plans(document: dict[str, Any]) -> None:
-    walls = [
-        ((r.get("plan") or {}).get("predicted") or {}).get("wall")
-        for r in document["jobs"]
-    ]
-    rows = [
-        (r["clip"], result_of(r), *_predicted(wall))
-        for r, wall in zip(document["jobs"], walls, strict=True)
-    ]
-    total = ("all", "", *_predicted(document["predicted"]))
-    print_table(
-        _title(document),
-        ("clip", "frames", "predicted", "nine times in ten"),
-        [*rows, (), total],
-        words=2,
-    )
-
-
-def _title(document: dict[str, Any]) -> str:
-    count, failed = len(document["jobs"]), document["failed"]
-    return f"{count} clip{'s' * (count != 1)}, " + (
-        f"{failed} failed" if failed else "none failed"
-    )
-
-
-def _predicted(wall: dict[str, float] | None) -> tuple[str, str]:
-    return (
-        ("", "")
-        if wall is None
-        else (f"{wall['s']:.1f} s", f"{wall['low_s']:.1f} to {wall['high_s']:.1f} s")
-    )

@@ -6,16 +6,14 @@ import re
 from pathlib import Path
 from typing import Any
 
-import click
-
 from arfx_cli.console import (
     Progress,
-    detail,
-    emit_json,
-    message_options,
+    arfx_command,
+    detail_template,
     note,
     print_table,
     say,
+    wrote_json,
 )
 
 
@@ -29,42 +27,13 @@ def parse_size(text: str) -> tuple[int, int]:
     return int(m[1]), int(m[2])
 
 
-@click.command()
-@click.option("--stage", metavar="S", help="Only this stage.")
-@click.option(
-    "--level", metavar="L", help="Only this level: draft, standard, high, reference."
-)
-@click.option(
-    "--size",
-    "sizes",
-    metavar="WxH",
-    multiple=True,
-    default=["1280x720"],
-    show_default=True,
-    help="Picture size, repeatable.",
-)
-@click.option(
-    "--calibrate",
-    is_flag=True,
-    help=(
-        "Measure this machine's price list, or a --stage's prices in it, which `plan` and"
-        " --budget use; under a minute."
-    ),
-)
-@click.option(
-    "--tradeoff",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="A clip's errors, by `arfx tradeoff`.",
-)
-@message_options
+@arfx_command("bench")
 def command(
     stage: str | None,
     level: str | None,
     sizes: tuple[str, ...],
     calibrate: bool,
     tradeoff: Path | None,
-    as_json: bool,
 ) -> None:
     """Time each stage at each level on a standard scene: a ball of 6,000 triangles over a
     tenth of the picture.
@@ -80,7 +49,7 @@ def command(
       arfx bench --calibrate
       arfx bench --calibrate --stage dof"""
     if calibrate:
-        _calibrate(stage, level, as_json)
+        _calibrate(stage, level)
         return
     from arfx.measure.bench import bench
     from arfx.plan.errors import errors_of_clip, shipped_errors
@@ -91,40 +60,15 @@ def command(
     with Progress("timed") as progress:
         compile_ahead(None, progress, note)
         rows = bench(parsed, stage, level, progress, errors=errors)
-    for r in rows:
-        each = 1e6 * r["ms"] / r["area_px"]
-        detail(
-            f"{r['stage']} {r['level']} {r['size']}: {r['area_px']} px, {each:.2f} ns/px,"
-            f" median of {r['runs']} runs"
-        )
-    if as_json:
-        emit_json(rows)
+    detail_template("measure/bench_detail.jinja", rows=rows)
+    if wrote_json(rows):
         return
-    lines = (
-        (
-            r["stage"],
-            r["level"],
-            r["size"],
-            f"{r['ms']:.2f}",
-            f"{r['yardstick_ms']:.2f}",
-            f"{r['ratio']:.2f}",
-            "unknown" if r["error"] is None else f"{r['error']:.2f}",
-            str(r["runs"]),
-        )
-        for r in rows
-    )
-    print_table(
-        "cost on this machine (medians; yardstick = one Gaussian blur of the picture), and"
-        " error, grey levels from the best level",
-        ("stage", "level", "size", "ms", "yardstick, ms", "ratio", "error", "runs"),
-        lines,
-        words=3,
-    )
+    print_table("measure/bench.jinja", words=3, rows=rows)
     say(f"errors: {errors.source}")
 
 
-def _calibrate(stage: str | None, level: str | None, as_json: bool) -> None:
-    from arfx.core.cost import load_prices
+def _calibrate(stage: str | None, level: str | None) -> None:
+    from arfx.core.cost import TERMS, load_prices
     from arfx.errors import ConfigError
     from arfx.measure.costs import calibrate, save_prices
     from arfx.run.kernels import compile_ahead
@@ -142,31 +86,13 @@ def _calibrate(stage: str | None, level: str | None, as_json: bool) -> None:
         for key, p in sorted(prices.prices.items())
         if stage in (None, key.removeprefix("prepare ").partition("/")[0])
     ]
-    if as_json:
-        emit_json(
-            {
-                "file": str(path),
-                "source": prices.source,
-                "threads": prices.threads,
-                "prices": rows,
-            }
-        )
+    document = {
+        "file": str(path),
+        "source": prices.source,
+        "threads": prices.threads,
+        "prices": rows,
+    }
+    if wrote_json(document):
         return
-    from arfx.core.cost import TERMS
-
-    lines = (
-        (
-            r["entry"],
-            *(f"{1e3 * r[t]:.3g}" if t in r else "" for t in TERMS),
-            f"{100 * r['spread']:.0f}",
-            str(r["runs"]),
-        )
-        for r in rows
-    )
-    print_table(
-        f"price list, {prices.source}, {prices.threads} threads at once: milliseconds per"
-        " unit",
-        ("entry", *TERMS, "± %", "runs"),
-        lines,
-    )
+    print_table("measure/prices.jinja", d=document, terms=TERMS)
     say(f"kept in {path}")

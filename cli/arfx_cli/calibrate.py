@@ -14,19 +14,15 @@ from arfx.core.naming import fixed_folder, has_field, named
 from arfx.core.opener import folder_entries
 from arfx.errors import ConfigError, InputError, explained, on_one_line
 from arfx_cli.console import (
-    FILE,
-    FOLDER,
     Progress,
-    detail,
-    emit_json,
-    message_options,
+    arfx_command,
+    detail_template,
     note,
-    overwrite_option,
     print_table,
     quiet,
-    result_of,
     say,
     tell,
+    wrote_json,
 )
 
 if TYPE_CHECKING:
@@ -53,41 +49,13 @@ class _Camera(NamedTuple):
     plots: list[Path]
 
 
-@click.command()
-@click.argument(
-    "inputs",
-    metavar="IMAGES|VIDEO|FOLDER...",
-    nargs=-1,
-    required=True,
-    type=click.Path(path_type=Path),
-)
-@click.option(
-    "--board",
-    required=True,
-    metavar="SPEC",
-    help="chessboard:9x6:25mm (inner corners) or charuco:12x8:18mm:14mm:5X5_100[:legacy].",
-)
-@click.option(
-    "-o",
-    "--output",
-    required=True,
-    type=FILE,
-    help="Camera file to write (YAML); with {stem}: one for each camera.",
-)
-@click.option(
-    "--report",
-    type=FOLDER,
-    help="Folder for residuals.png and coverage.png; default: beside -o.",
-)
-@overwrite_option
-@message_options
+@arfx_command("calibrate")
 def command(
     inputs: tuple[Path, ...],
     board: str,
     output: Path,
     report: Path | None,
     overwrite: bool,
-    as_json: bool,
 ) -> None:
     """Camera intrinsics from pictures or videos of a printed board, with a verdict: good,
     usable or poor.
@@ -112,11 +80,10 @@ def command(
                 f"{path} does not exist", "give images or videos of the board"
             )
     several = has_field(output)
-    cameras = (
-        _several(inputs, output, report)
-        if several
-        else [_camera(inputs[0], _pictures_in(inputs), output, report)]
-    )
+    if several:
+        cameras = _several(inputs, output, report)
+    else:
+        cameras = [_camera(inputs[0], _pictures_in(inputs), output, report)]
     read = (("picture", path) for camera in cameras for path in camera.paths)
     guard = Guard(read, overwrite)
     for camera in cameras:
@@ -124,36 +91,35 @@ def command(
         for path in camera.plots:
             guard.file(path, folder_made=several or report is not None)
     if not several:
-        found = _calibrate(cameras[0], spec, "")
-        if as_json:
-            emit_json(found)
+        wrote_json(_calibrate(cameras[0], spec, ""))
         return
     rows = []
     for k, camera in enumerate(cameras):
         of = f"{k + 1} of {len(cameras)}"
-        row: dict[str, Any] = {"input": str(camera.source), "output": str(camera.output)}
+        done, code = None, 0
         try:
             camera.output.parent.mkdir(parents=True, exist_ok=True)
             done = _calibrate(camera, spec, f"{of} {camera.source.name}")
-            row |= {"exit_code": 0, "message": done["verdict"], "calibration": done}
+            message = done["verdict"]
         except Exception as e:
             if interrupt.pending():
                 raise
             code, message = explained(e)
             message = on_one_line(message)
-            row |= {"exit_code": code, "message": message, "calibration": None}
             tell(f"{of} {camera.source}: error: {message}")
-        rows.append(row)
-    failed = sum(row["exit_code"] != 0 for row in rows)
-    if as_json:
-        emit_json({"cameras": rows, "failed": failed})
-    else:
-        print_table(
-            f"{len(rows)} camera{'s' * (len(rows) != 1)}, {failed or 'none'} failed",
-            ("camera", "verdict", "output"),
-            [(row["input"], result_of(row), row["output"]) for row in rows],
-            words=3,
+        rows.append(
+            {
+                "input": str(camera.source),
+                "output": str(camera.output),
+                "exit_code": code,
+                "message": message,
+                "calibration": done,
+            }
         )
+    failed = sum(row["exit_code"] != 0 for row in rows)
+    document = {"cameras": rows, "failed": failed}
+    if not wrote_json(document):
+        print_table("calibrate/cameras.jinja", words=3, **document)
     if failed:
         click.get_current_context().exit(6)
 
@@ -186,11 +152,13 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
     save_camera(camera.output, result.fitted.camera, **file_extras(result))
     d = document(result)
     known = d["standard_deviations"]
-    numbers = [*zip(known, result.fitted.values, known.values(), strict=True)]
-    tilts = result.seen.tilt_deg
     say(
         render(
-            "calibrate/summary.jinja", d=d, numbers=numbers, tilts=tilts, least=TILTED_DEG
+            "calibrate/summary.jinja",
+            d=d,
+            numbers=[*zip(known, result.fitted.values, known.values(), strict=True)],
+            tilts=result.seen.tilt_deg,
+            least=TILTED_DEG,
         )
     )
     for notice in found.notices * quiet():
@@ -199,14 +167,10 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
         note(
             f"the calibration is {result.verdict.word}: {'; '.join(result.verdict.reasons)}"
         )
-    for row in d["models"]:
-        detail(
-            f"{'*' if row['chosen'] else ' '} {row['model']}: held out"
-            f" {row['held_out_rms_px']:.4f} px {row['rejected']}"
-        )
-    say(f"wrote {camera.output}, {camera.plots[0]}, {camera.plots[1]}")
-    plots = [str(path) for path in camera.plots]
-    return d | {"output": str(camera.output), "plots": plots}
+    detail_template("calibrate/models.jinja", models=d["models"])
+    output, *plots = map(str, [camera.output, *camera.plots])
+    say(f"wrote {', '.join([output, *plots])}")
+    return d | {"output": output, "plots": plots}
 
 
 def _camera(
@@ -223,7 +187,7 @@ def _several(
 ) -> list[_Camera]:
     """One camera for each argument, or for what is in a folder that holds no pictures itself."""
     # plots of an earlier run are there
-    own = {p.resolve() for p in (fixed_folder(pattern), report) if p is not None}
+    own = {p.resolve() for p in (fixed_folder(pattern), report) if p}
     out: dict[Path, _Camera] = {}
     for path in inputs:
         sources = [path] if not path.is_dir() or _stills(path) else _cameras_in(path)
@@ -236,7 +200,7 @@ def _several(
                     f"{out[file].source} and {source} go to one output, {file}",
                     "{stem} and {parent} keep them apart",
                 )
-            plots = None if report is None else report / file.stem
+            plots = report and report / file.stem
             out[file] = _camera(source, _pictures_in((source,)), file, plots)
     return list(out.values())
 
@@ -248,15 +212,11 @@ def _stills(folder: Path) -> list[Path]:
 def _cameras_in(folder: Path) -> list[Path]:
     from arfx.media.codecs import CLIP_SUFFIXES
 
-    found = [
-        p
-        for p in folder_entries(folder)
-        if (
-            _stills(p)
-            if p.is_dir()
-            else p.is_file() and p.suffix.lower() in CLIP_SUFFIXES
-        )
-    ]
+    found = []
+    for p in folder_entries(folder):
+        video = p.is_file() and p.suffix.lower() in CLIP_SUFFIXES
+        if video or (p.is_dir() and _stills(p)):
+            found.append(p)
     if not found:
         raise InputError(
             f"folder {folder} holds no pictures, no folders of pictures and no videos",
@@ -271,9 +231,9 @@ def _pictures_in(inputs: tuple[Path, ...]) -> list[Path]:
     for path in inputs:
         inside = _stills(path) if path.is_dir() else [path]
         if not inside:
+            supported = " ".join(sorted(STILLS))
             raise InputError(
-                f"folder {path} holds no pictures",
-                "supported: " + " ".join(sorted(STILLS)),
+                f"folder {path} holds no pictures", f"supported: {supported}"
             )
         out += inside
     return out
@@ -293,11 +253,8 @@ def _pictures(paths: list[Path]) -> Iterator[Picture]:
             yield from (Picture(*frame) for frame in _video(path, name))
             continue
         try:
-            yield Picture(
-                name,
-                decode_picture(path, "picture", cv2.IMREAD_GRAYSCALE),
-                exif_turn(path),
-            )
+            gray = decode_picture(path, "picture", cv2.IMREAD_GRAYSCALE)
+            yield Picture(name, gray, exif_turn(path))
         except InputError as e:
             yield Picture(name, e)
 
@@ -312,9 +269,8 @@ def _video(path: Path, name: str) -> Iterator[tuple[str, np.ndarray]]:
     info = probe(path)
     for notice in info.notices:
         note(f"{path}: {notice}")
-    expected = (
-        info.frame_count_stated or int((info.duration_s or 0) * (info.fps or 30)) or 1000
-    )
+    length = int((info.duration_s or 0) * (info.fps or 30))
+    expected = info.frame_count_stated or length or 1000
     with ClipReader(info) as reader:
         frames = (
             (f"{name}@{f.time_s:.3f}s", np.ascontiguousarray(f.luma()))

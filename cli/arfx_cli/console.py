@@ -1,5 +1,5 @@
-"""What every command shares: messages on standard error, one JSON document on standard
-output, progress.
+"""What every command shares: its parameters, as commands.toml states them, messages on
+standard error, one JSON document on standard output, tables, progress.
 """
 
 from __future__ import annotations
@@ -7,7 +7,9 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
-from collections.abc import Callable, Iterable, Sequence
+import tomllib
+from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,65 +19,68 @@ from arfx.core.opener import printable
 from arfx.core.waiting import WAITS
 from arfx.errors import counted
 
-FILE = click.Path(path_type=Path, dir_okay=False)
-FOLDER = click.Path(path_type=Path, file_okay=False)
-overwrite_option = click.option(
-    "--overwrite", is_flag=True, help="Replace existing outputs."
-)
-COMPILING = "compiling kernels for this processor, once"
-_PHASES = {"compile": COMPILING, **WAITS}
+TABLE = tomllib.loads(Path(__file__).with_name("commands.toml").read_text("utf-8"))
+_KINDS: dict[str, click.ParamType] = {
+    "file": click.Path(path_type=Path, dir_okay=False),
+    "folder": click.Path(path_type=Path, file_okay=False),
+    "path": click.Path(path_type=Path),
+    "existing-folder": click.Path(path_type=Path, file_okay=False, exists=True),
+    "number": click.FLOAT,
+}
 _OUTPUT = "arfx_cli.output"  # in the context of a command with --json: standard output
 _LEVEL = "arfx_cli.level"  # in the context of the running command: -1 quiet, 0, 1 verbose
+_PHASES = {"compile": "compiling kernels for this processor, once", **WAITS}
 
 
-def _set_level(context: click.Context, parameter: click.Parameter, given: bool) -> None:
-    if not given:
-        return
-    level = -1 if parameter.name == "quiet" else 1
-    if context.meta.setdefault(_LEVEL, level) != level:
-        raise click.UsageError(
-            "--verbose and --quiet contradict each other: give one of them", context
-        )
+class Command(click.Command):
+    """With --json, what plug-ins and libraries print goes to standard error while it runs."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Of an option that takes one value click uses the last, and drops others in silence."""
+        used, _, order = self.make_parser(ctx).parse_args([*args])
+        words = [part for w in args for part in w.split("=", w.startswith("--"))]
+        for option in {p for p in order if isinstance(p, click.Option)}:
+            count, last = order.count(option), used.get(option.name)
+            if count < 2 or option.multiple or option.is_flag:
+                continue
+            values = [value for w, value in pairwise([*words, ""]) if w in option.opts]
+            lost = "".join(f", not {value}" for value in values if value != last)
+            if lost or len(values) < count:  # those of -oNAME
+                note(
+                    f"{option.opts[-1]} takes one value and is given {count}: {last} is"
+                    f" used{lost}"
+                )
+        return super().parse_args(ctx, args)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        quiet, verbose, as_json = map(ctx.params.pop, ("quiet", "verbose", "json"))
+        if quiet and verbose:
+            raise click.UsageError(
+                "--verbose and --quiet contradict each other: give one of them", ctx
+            )
+        ctx.meta[_LEVEL] = verbose - quiet
+        if as_json:
+            ctx.meta[_OUTPUT] = sys.stdout
+            ctx.with_resource(contextlib.redirect_stdout(sys.stderr))
+        return super().invoke(ctx)
 
 
-def _keep_output(context: click.Context, parameter: click.Parameter, given: bool) -> bool:
-    """With --json, what plug-ins and libraries print goes to standard error while the
-    command runs.
-    """
-    if given:
-        context.meta[_OUTPUT] = sys.stdout
-        context.with_resource(contextlib.redirect_stdout(sys.stderr))
-    return given
+def parameter(name: str, kind: Any = None, **words: Any) -> click.Parameter:
+    """Of a row of commands.toml."""
+    made = click.Option if name.startswith("-") else click.Argument
+    if isinstance(kind, str):
+        kind = _KINDS[kind]
+    elif isinstance(kind, (list, tuple)):
+        kind = click.IntRange(*kind) if 1 in kind else click.Choice(kind)
+    return made(name.split(), type=kind, **words)
 
 
-def _level() -> int:
-    context = click.get_current_context(silent=True)
-    return context.meta.get(_LEVEL, 0) if context else 0
-
-
-def message_options(f: Callable[..., Any]) -> Callable[..., Any]:
-    """What every command has: --json for its result, -v and -q for what it says beside that."""
-    level: dict[str, Any] = {
-        "is_flag": True,
-        "expose_value": False,
-        "callback": _set_level,
-    }
-    options = (
-        click.option(
-            "-q", "--quiet", help="Only warnings and errors on standard error.", **level
-        ),
-        click.option("-v", "--verbose", help="More detail on standard error.", **level),
-        click.option(
-            "--json",
-            "as_json",
-            is_flag=True,
-            callback=_keep_output,
-            help="One JSON document on standard output.",
-        ),
-    )
-    for option in options:
-        f = option(f)
-    return f
+def arfx_command(name: str, *first: click.Parameter) -> Callable[..., Command]:
+    """A command with these parameters, then its own, then those of every command."""
+    shared = (*TABLE[name].get("also", ()), "json", "verbose", "quiet")
+    rows = [*TABLE[name].get("parameter", ()), *(TABLE["shared"][key] for key in shared)]
+    params = [*first, *(parameter(**row) for row in rows)]
+    return click.command(cls=Command, params=params)
 
 
 def tell(message: str) -> None:
@@ -96,6 +101,11 @@ def note(message: str) -> None:
     tell(f"note: {message}")
 
 
+def _level() -> int:
+    context = click.get_current_context(silent=True)
+    return context.meta.get(_LEVEL, 0) if context else 0
+
+
 def quiet() -> bool:
     """Whether --quiet asks for warnings and errors alone."""
     return _level() < 0
@@ -112,25 +122,32 @@ def detail(message: str) -> None:
         tell(f"  {message}")
 
 
-def emit_json(document: Any) -> None:
+def wrote_json(document: Any) -> bool:
+    """Whether --json asks for the result, which is then written."""
     from arfx.core.numerics import finite
 
-    context = click.get_current_context(silent=True)
-    output: Any = context.meta.get(_OUTPUT, sys.stdout) if context else sys.stdout
+    output = click.get_current_context().meta.get(_OUTPUT)
+    if output is None:
+        return False
     json.dump(finite(document), output, indent=1)
     output.write("\n")
+    return True
 
 
-def print_table(
-    title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1
-) -> None:
-    """On standard output; cells wrap between words alone. words : how many of the first
-    columns are left-justified; a row () is a line"""
+def print_table(template: str, words: int = 1, **values: Any) -> None:
+    """A table on standard output; cells wrap between words alone.
+
+    template : its title, then the heads, then the rows, with a tab between cells; an empty
+    row is a line;  words : how many of the first columns are left-justified
+    """
     from rich import box
     from rich.console import Console
     from rich.table import Table
 
-    lines = [*rows]
+    from arfx.run.pages import render
+
+    title, *lines = render(template, **values).removesuffix("\n").split("\n")
+    rows = [line.split("\t") if line else [] for line in lines]
     table = Table(
         title=title,
         title_justify="left",
@@ -138,20 +155,14 @@ def print_table(
         padding=(0, 1, 0, 0),
         pad_edge=False,
     )
-    for k, column in enumerate(zip(heads, *filter(None, lines), strict=True)):
+    for k, column in enumerate(zip(*filter(None, rows), strict=True)):
         longest = max(len(word) for cell in column for word in [*cell.split(), ""])
         table.add_column(
             column[0], justify="left" if k < words else "right", min_width=longest
         )
-    for row in lines:
-        table.add_row(*map(printable, row)) if row else table.add_section()
+    for row in rows[1:]:
+        table.add_row(*row) if row else table.add_section()
     Console(highlight=False).print(table)
-
-
-def result_of(row: dict[str, Any]) -> str:
-    """In words, of one of several inputs."""
-    failed = f"exit {row['exit_code']}: " if row["exit_code"] else ""
-    return failed + row["message"]
 
 
 class Progress:
@@ -163,9 +174,8 @@ class Progress:
     def __init__(self, unit: str = "frames") -> None:
         self._unit = unit
         self._quiet = quiet()
-        self._rich: Any = None
-        self._tasks: dict[str, Any] = {}
-        self._last: dict[str, int] = {}
+        self._bars: Any = None
+        self._shown: dict[str, Any] = {}  # phase -> its bar, or the tenth that was said
         self._title = ""
 
     def __enter__(self) -> Progress:
@@ -173,7 +183,7 @@ class Progress:
             from rich import progress
             from rich.console import Console
 
-            self._rich = progress.Progress(
+            self._bars = progress.Progress(
                 progress.TextColumn("{task.description}"),
                 progress.BarColumn(),
                 progress.MofNCompleteColumn(),
@@ -181,41 +191,37 @@ class Progress:
                 progress.TimeRemainingColumn(),
                 console=Console(stderr=True),
             )
-            self._rich.start()
+            self._bars.start()
         return self
 
     def __exit__(self, *exc: object) -> None:
-        if self._rich:
-            self._rich.stop()
+        if self._bars:
+            self._bars.stop()
 
     def begin(self, title: str) -> None:
         """The phases that follow are those of another piece of work, which is named before each."""
         self._title = f"{printable(title)}: "
-        for task in self._tasks.values():
-            self._rich.remove_task(task)
-        self._tasks.clear()
-        self._last.clear()
+        for bar in self._shown.values() if self._bars else ():
+            self._bars.remove_task(bar)
+        self._shown.clear()
 
     def __call__(self, phase: str, done: int, total: int | None) -> None:
         """Phase `phase` has finished `done` of `total` steps (None = not known)."""
         if self._quiet:
             return
-        if self._rich:
-            if phase not in self._tasks:
-                self._tasks[phase] = self._rich.add_task(
-                    self._title + _PHASES.get(phase, phase), total=total
-                )
-            self._rich.update(self._tasks[phase], completed=done, total=total)
+        words = self._title + _PHASES.get(phase, phase)
+        if self._bars:
+            if phase not in self._shown:
+                self._shown[phase] = self._bars.add_task(words, total=total)
+            self._bars.update(self._shown[phase], completed=done, total=total)
             return
-        tenth = done * 10 // total if total else done // (10 if phase in WAITS else 100)
-        if tenth != self._last.get(phase) and (done or total):
-            self._last[phase] = tenth
-            if phase == "compile":
-                say(f"{self._title}{COMPILING}: {done} of {total}")
-                return
-            unit = "seconds" if phase in WAITS else self._unit
+        waits = phase in WAITS
+        tenth = done * 10 // total if total else done // (10 if waits else 100)
+        if tenth != self._shown.get(phase) and (done or total):
+            self._shown[phase] = tenth
+            unit = "seconds" if waits else self._unit
             amount = f"{done}/{counted(total, unit)}" if total else counted(done, unit)
-            say(f"{self._title}{_PHASES.get(phase, phase)}: {amount}")
+            say(f"{words}: {f'{done} of {total}' if phase == 'compile' else amount}")
 
 
 def say_job(report: dict[str, Any]) -> None:

@@ -6,32 +6,13 @@ from pathlib import Path
 
 import click
 
-from arfx_cli.console import (
-    FOLDER,
-    Progress,
-    emit_json,
-    message_options,
-    note,
-    overwrite_option,
-    say_job,
-)
+from arfx_cli.console import Progress, arfx_command, note, say_job, wrote_json
 
 EFFECTS = ("dof",)  # of the demo's job
 
 
-@click.command()
-@click.option(
-    "-o",
-    "--output",
-    "folder",
-    type=FOLDER,
-    default=Path("demo"),
-    show_default=True,
-    help="Folder for all that is made.",
-)
-@overwrite_option
-@message_options
-def command(folder: Path, overwrite: bool, as_json: bool) -> None:
+@arfx_command("demo")
+def command(folder: Path, overwrite: bool) -> None:
     """Make a sample clip, put a model onto its marker, and write out.mp4, picture.png and a report.
 
     \b
@@ -95,11 +76,8 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
         "report": "report/report.html",
     }
     say_job(report)
-    if as_json:
-        emit_json(
-            {what.replace(" ", "_"): str(folder / name) for what, name in written.items()}
-            | {"job": report}
-        )
+    files = {what.replace(" ", "_"): str(folder / name) for what, name in written.items()}
+    if wrote_json(files | {"job": report}):
         return
     for what, name in written.items():
         click.echo(f"{what + ':':12} {folder / name}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import sys
 from collections.abc import Iterator
@@ -9,12 +10,11 @@ from pathlib import Path
 
 import click
 
-from arfx_cli.console import detail, emit_json, message_options, verbose
+from arfx_cli.console import arfx_command, detail, verbose, wrote_json
 
 
-@click.command()
-@message_options
-def command(as_json: bool) -> None:
+@arfx_command("doctor")
+def command() -> None:
     """Check Python, packages, renderer back ends, codecs, cores, memory and disk; say the
     fix for what does not work.
 
@@ -30,33 +30,25 @@ def command(as_json: bool) -> None:
     if verbose():
         for line in surroundings():
             detail(line)
-    if as_json:
-        emit_json(
-            {"ok": essentials_work(checks), "checks": [c.to_json() for c in checks]}
-        )
-    else:
-        for group in dict.fromkeys(c.group for c in checks):
+    works = essentials_work(checks)
+    if not wrote_json({"ok": works, "checks": [c.to_json() for c in checks]}):
+        for group, members in itertools.groupby(checks, lambda c: c.group):
             click.echo(group)
-            for c in (c for c in checks if c.group == group):
-                mark = (
-                    click.style("ok  ", fg="green")
-                    if c.ok
-                    else click.style("no  ", fg="red" if c.essential else "yellow")
-                )
+            for c in members:
+                colour = "green" if c.ok else "red" if c.essential else "yellow"
+                mark = click.style("ok  " if c.ok else "no  ", fg=colour)
                 click.echo(f"  {mark}{c.name:32}{c.detail}")
                 if c.fix:
                     click.echo(f"      fix: {c.fix}")
-    if not essentials_work(checks):
+        if works:
+            broken = ", ".join(c.name for c in checks if not c.ok)
+            missing = f" Missing, not essential: {broken}." if broken else ""
+            click.echo(f"Clips can be processed here.{missing}")
+    if not works:
         wrong = [c.name for c in checks if c.essential and not c.ok] or ["every renderer"]
         raise RenderError(
             f"arfx cannot work here: {', '.join(wrong)}",
             "the fix is printed under each check",
-        )
-    if not as_json:
-        broken = [c.name for c in checks if not c.ok]
-        click.echo(
-            "Clips can be processed here."
-            + (f" Missing, not essential: {', '.join(broken)}." if broken else "")
         )
 
 

@@ -7,33 +7,11 @@ from typing import Any
 
 import click
 
-from arfx.errors import counted
-from arfx_cli.console import (
-    FILE,
-    detail_template,
-    emit_json,
-    message_options,
-    print_table,
-    tell,
-)
+from arfx_cli.console import arfx_command, detail_template, print_table, tell, wrote_json
 
 
-@click.command()
-@click.argument("clip", type=FILE)
-@click.option(
-    "--camera",
-    type=FILE,
-    help="Calibration file; with it the markers' tilt is shown too.",
-)
-@click.option(
-    "--samples",
-    type=click.IntRange(1, 1000),
-    default=24,
-    show_default=True,
-    help="Frames that are searched.",
-)
-@message_options
-def command(clip: Path, camera: Path | None, samples: int, as_json: bool) -> None:
+@arfx_command("inspect")
+def command(clip: Path, camera: Path | None, samples: int) -> None:
     """Stream properties of CLIP, the markers in it, blur and light, and the `process`
     command that fits.
 
@@ -53,10 +31,8 @@ def command(clip: Path, camera: Path | None, samples: int, as_json: bool) -> Non
     document = inspect(info, lens, samples)
     document["suggestion"] = suggestion(document, clip, camera)
     detail_template("measure/inspect_detail.jinja", d=document)
-    if as_json:
-        emit_json(document)
-        return
-    _print(document)
+    if not wrote_json(document):
+        _print(document)
 
 
 def _print(document: dict[str, Any]) -> None:
@@ -67,19 +43,8 @@ def _print(document: dict[str, Any]) -> None:
     markers = document["markers"]
     click.echo(render("measure/inspect_clip.jinja", d=document), nl=False)
     if markers:
-        rows = [
-            (
-                m["marker"] + " (twice in a frame)" * bool(m["twice_in_a_frame"]),
-                f"{m['frames']}",
-                *(_range(m[k]) for k in ("side_px", "blur_px", "tilt_deg")),
-            )
-            for m in markers
-        ]
-        print_table(
-            f"\nmarkers in {counted(len(document['samples']), 'sampled frames')}",
-            ("marker", "seen", "side, px", "edge blur, px", "tilt, °"),
-            rows,
-        )
+        click.echo()
+        print_table("measure/inspect_table.jinja", d=document)
     sizes = [*zip(markers, size_names(markers), strict=True)]
     click.echo(
         render(
@@ -95,9 +60,3 @@ def _print(document: dict[str, Any]) -> None:
             "help: a marker needs a white margin, sides of 12 px or more and even light;"
             " --samples looks at more frames"
         )
-
-
-def _range(spread: dict[str, float] | None) -> str:
-    if spread is None:
-        return "–"
-    return f"{spread['median']:.3g} ({spread['min']:.3g} … {spread['max']:.3g})"

@@ -5,138 +5,49 @@ and of how a job is run."""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 import click
 
-from arfx.config.sections import Setting, settings
-from arfx_cli.console import FILE, FOLDER, Progress, note
+from arfx.config.sections import JobConfig, Setting, settings
+from arfx_cli.console import TABLE, Progress, note, parameter
 
 if TYPE_CHECKING:
-    from arfx.config.given import Given
     from arfx.config.load import JobFile
-    from arfx.config.sections import JobConfig
     from arfx.run.job import Options
-
-
-_OTHERS = [
-    click.Option(
-        ["--config"],
-        type=FILE,
-        multiple=True,
-        help=(
-            "Job file (TOML) or preset name. Repeatable: later ones win, and the command"
-            " line over all."
-        ),
-    ),
-    click.Option(
-        ["--light"],
-        metavar="AZ,EL[,R,G,B]",
-        help="A known light: azimuth from the marker's x, elevation, degrees.",
-    ),
-    click.Option(
-        ["--environment"],
-        type=FILE,
-        help="A known light: HDR panorama, its top the marker's z, its middle x.",
-    ),
-    click.Option(
-        ["--formula"],
-        type=click.Choice(["paper", "corrected"]),
-        help="Methods as printed, or corrected (default).",
-    ),
-    click.Option(
-        ["--set"],
-        multiple=True,
-        metavar="STAGE.KEY=VALUE",
-        help="Any setting, repeatable.",
-    ),
-    click.Option(
-        ["--report", "report_dir"],
-        type=FOLDER,
-        help="Folder for report.json and report.html.",
-    ),
-    click.Option(
-        ["--job", "job_dir"],
-        type=FOLDER,
-        help="Job folder, kept afterwards; default OUT.job.",
-    ),
-    click.Option(
-        ["--resume"], is_flag=True, help="Go on with an interrupted or killed job."
-    ),
-    click.Option(
-        ["--workers"],
-        type=click.IntRange(1),
-        help="Worker processes; default: threads on up to 4 cores.",
-    ),
-    click.Option(
-        ["--executor"],
-        metavar="CLUSTER",
-        help="Work on a Dask cluster: local[:N], tcp://HOST:PORT, slurm:FILE.",
-    ),
-    click.Option(
-        ["--map-path"],
-        metavar="HERE=THERE",
-        multiple=True,
-        help=(
-            "Where the cluster's workers see a path: a path, or a URL (file, s3, http)."
-            " Repeatable."
-        ),
-    ),
-]
-# As help shows them; what is not named here comes last.
-_ORDER = (
-    "clip config camera marker pattern marker-map model scale fit offset rotate up pipeline"
-    " no-skip quality budget fps max-error tradeoff light environment formula depth"
-    " depth-scale anchor poses set start end output codec crf pixel-format report job"
-    " resume workers executor map-path"
-)
 
 
 def job_options() -> list[click.Parameter]:
     """What a job is, where it goes and how it is run: the parameters of a command."""
-    places = {name: place for place, name in enumerate(_ORDER.split())}
-    parameters = [*(_parameter(s) for s in settings() if s.flags), *_OTHERS]
-    return sorted(
-        parameters, key=lambda p: places.get(p.opts[-1].lstrip("-"), len(places))
-    )
+    made = [_parameter(s) for s in settings() if s.flags]
+    made += [parameter(**row) for row in TABLE["job"]["parameter"]]
+    every = {p.opts[-1].lstrip("-"): p for p in made}
+    order = TABLE["job"]["order"].split()
+    return [*({name: every[name] for name in order} | every).values()]
 
 
 def _parameter(s: Setting) -> click.Parameter:
     kind: Any = None
     if Path in s.kinds:
-        kind = click.Path(path_type=Path, dir_okay=s.metavar == "PATH")
+        kind = "path" if s.metavar == "PATH" else "file"
     elif float in s.kinds:  # click checks a limit of 0, the job all other limits
-        low = next(
-            (
-                m
-                for m in s.limits
-                if 0 in (getattr(m, "gt", None), getattr(m, "ge", None))
-            ),
-            None,
-        )
-        kind = (
-            click.FLOAT
-            if low is None
-            else click.FloatRange(0, min_open=hasattr(low, "gt"))
-        )
+        kind = click.FLOAT
+        for limit in s.limits:
+            if 0 in (getattr(limit, "gt", None), getattr(limit, "ge", None)):
+                kind = click.FloatRange(0, min_open=hasattr(limit, "gt"))
     elif list[str] not in s.kinds:
-        kind = next(
-            (click.Choice(get_args(k)) for k in s.kinds if get_origin(k) is Literal), None
-        )
+        kind = next((get_args(k) for k in s.kinds if get_origin(k) is Literal), None)
     if not s.flags[0].startswith("-"):
-        return click.Argument([s.name], type=kind, required=False)
-    flag = (
-        True if bool in s.kinds else None
-    )  # with False, click takes the -1 of --crf -1 for an option
-    return click.Option(
-        s.flags,
-        type=kind,
+        return parameter(s.name, kind, required=False)
+    return parameter(
+        " ".join(s.flags),
+        kind,
         metavar=s.metavar,
         multiple=s.repeated,
-        is_flag=flag,
+        # with False, click takes the -1 of --crf -1 for an option
+        is_flag=True if bool in s.kinds else None,
         help=s.help,
     )
 
@@ -151,32 +62,30 @@ def job_config(given: dict[str, Any], more: Sequence[JobFile] = ()) -> JobConfig
     from arfx.run.parameters import parameters, pipeline
     from arfx.stages import STAGES
 
-    kinds = parameters()
-    formulas = [name for name, by_formula in kinds.items() if len(by_formula) > 1]
-    tree = overrides(
-        itertools.chain(section_overrides(given), _of_stages(given, formulas)),
-        given["set"],
-    )
-    files: list[Path | JobFile] = [
-        *(find_job_file(file) for file in given["config"]),
-        *more,
-    ]
+    kinds, options = parameters(), [*section_overrides(given)]
+    places = {
+        "light": [("light", "given")],
+        "environment": [("light", "environment")],
+        "formula": [(n, "formula") for n, formulas in kinds.items() if len(formulas) > 1],
+    }
+    for option, paths in places.items():
+        if value := given[option]:
+            options += [(path, value, f"--{option} {value}") for path in paths]
+    tree = overrides(options, given["set"])
+    files: list[Path | JobFile] = [*map(find_job_file, given["config"]), *more]
     config = load(files, tree, kinds, STAGES.broken)
     pipeline(config)
     return config
 
 
-def workers(given: dict[str, Any]) -> dict[str, Any]:
-    """Who renders, as arguments of `arfx.run.job.Options`; taken out of `given`. Raises
-    ConfigError.
-    """
+def run_options(given: dict[str, Any], progress: Progress) -> Options:
+    """How the job is run, from the parsed options that say so. Raises ConfigError."""
     from arfx.errors import ConfigError
     from arfx.run.cluster.paths import PathMap
     from arfx.run.cluster.spec import ClusterSpec
+    from arfx.run.job import Options
 
-    count, executor, maps = (
-        given.pop(name) for name in ("workers", "executor", "map_path")
-    )
+    count, executor, maps = given["workers"], given["executor"], given["map_path"]
     if executor is not None and count is not None:
         raise ConfigError(
             f"--workers {count} and --executor {executor} both say who renders",
@@ -186,29 +95,14 @@ def workers(given: dict[str, Any]) -> dict[str, Any]:
         raise ConfigError(
             "--map-path is for the workers of a cluster", "--executor says which"
         )
-    spec = None if executor is None else ClusterSpec.parse(executor)
-    return {
-        "workers": count,
-        "executor": spec,
-        "map_path": tuple(map(PathMap.parse, maps)),
-    }
-
-
-def _of_stages(given: dict[str, Any], formulas: Sequence[str]) -> Iterator[Given]:
-    for option, key in (("light", "given"), ("environment", "environment")):
-        if given[option]:
-            yield ("light", key), given[option], f"--{option} {given[option]}"
-    if given["formula"]:
-        for name in formulas:
-            yield (name, "formula"), given["formula"], f"--formula {given['formula']}"
-
-
-def run_options(given: dict[str, Any], progress: Progress) -> Options:
-    """How the job is run, from the parsed options that say so, which are taken out of `given`."""
-    from arfx.run.job import Options
-
-    folder, report = given.pop("job_dir"), given.pop("report_dir")
-    resume, overwrite, who = given.pop("resume"), given.pop("overwrite"), workers(given)
     return Options(
-        folder, resume, overwrite, report=report, progress=progress, notice=note, **who
+        given["job_dir"],
+        given["resume"],
+        given["overwrite"],
+        count,
+        given["report_dir"],
+        executor=None if executor is None else ClusterSpec.parse(executor),
+        map_path=tuple(map(PathMap.parse, maps)),
+        progress=progress,
+        notice=note,
     )

@@ -2,43 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 
-import click
-
-from arfx_cli.console import emit_json, message_options, print_table
-
-_ROWS = (
-    ("front_mm", "sharp before the focus"),
-    ("back_mm", "sharp behind the focus"),
-    ("total_mm", "depth of field"),
-    ("hyperfocal_mm", "hyperfocal distance"),
-    ("coc_at_infinity_mm", "blur circle at infinity"),
-)
+from arfx_cli.console import arfx_command, print_table, wrote_json
 
 
-@click.command()
-@click.option(
-    "--focal", required=True, metavar="LENGTH", help="Focal length, such as 50mm."
-)
-@click.option(
-    "--fnumber", required=True, type=float, metavar="N", help="F-number, such as 2.8."
-)
-@click.option(
-    "--distance",
-    required=True,
-    metavar="LENGTH",
-    help="Focus distance from the lens, such as 2.5m.",
-)
-@click.option(
-    "--coc",
-    default="0.03mm",
-    show_default=True,
-    metavar="LENGTH",
-    help="Diameter of the largest blur circle that passes as sharp.",
-)
-@message_options
-def command(focal: str, fnumber: float, distance: str, coc: str, as_json: bool) -> None:
+@arfx_command("lens")
+def command(focal: str, fnumber: float, distance: str, coc: str) -> None:
     """What a lens shows sharp: near and far limits around the focus distance, and the
     hyperfocal distance.
 
@@ -56,38 +27,16 @@ def command(focal: str, fnumber: float, distance: str, coc: str, as_json: bool) 
         1e3 * length_m(focal, "--focal"), fnumber, 1e3 * length_m(distance, "--distance")
     )
     coc_mm = 1e3 * length_m(coc, "--coc")
-    limits = {
+    corrected = asdict(depth_of_field(lens, coc_mm))
+    document = {
+        "focal_mm": lens.focal_mm,
+        "fnumber": fnumber,
+        "distance_mm": lens.focus_mm,
+        "coc_mm": coc_mm,
         PAPER: asdict(printed_limits(lens, coc_mm)),
-        CORRECTED: asdict(depth_of_field(lens, coc_mm)),
+        CORRECTED: corrected | {"back_is_infinite": corrected["back_mm"] == math.inf},
     }
-    if as_json:
-        given = {
-            "focal_mm": lens.focal_mm,
-            "fnumber": fnumber,
-            "distance_mm": lens.focus_mm,
-            "coc_mm": coc_mm,
-        }
-        beyond = {"back_is_infinite": limits[CORRECTED]["back_mm"] == float("inf")}
-        emit_json(
-            {**given, PAPER: limits[PAPER], CORRECTED: {**limits[CORRECTED], **beyond}}
+    if not wrote_json(document):
+        print_table(
+            "measure/lens.jinja", d=document, focal=focal, distance=distance, coc=coc
         )
-        return
-    rows = [
-        (words, *(_shown(limits[name][key]) for name in (PAPER, CORRECTED)))
-        for key, words in _ROWS
-    ]
-    print_table(
-        f"{focal} f/{fnumber:g} focused at {distance}, circle {coc}",
-        ("mm", PAPER, CORRECTED),
-        rows,
-    )
-
-
-def _shown(value: float | None) -> str:
-    return (
-        "not defined"
-        if value is None
-        else "infinite"
-        if value == float("inf")
-        else f"{value:,.4f}"
-    )

@@ -10,7 +10,6 @@ import io
 import os
 import sys
 from collections.abc import Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,43 +20,10 @@ from arfx.core import interrupt
 from arfx.core.machine import collect_seldom
 from arfx.core.opener import check_name
 from arfx.errors import JobInterruptedError, explained
-from arfx_cli.console import note, tell
+from arfx_cli.console import TABLE, tell
 
 # command -> one-line help. Its module here, of that name, is imported only when it runs.
-COMMANDS = {
-    "demo": (
-        "Make a sample clip, process it, write out.mp4 and a report. No argument needed."
-    ),
-    "process": "Put a virtual model onto the marker of a clip: the main job.",
-    "batch": (
-        "Many clips, one job each: a table, folders or patterns; goes on past one that"
-        " fails."
-    ),
-    "plan": (
-        "Explain what `process` would do and leave out, with predicted time; renders"
-        " nothing."
-    ),
-    "tradeoff": (
-        "What accuracy costs on a clip: error and time of every level of every effect."
-    ),
-    "inspect": (
-        "Stream properties, markers found, coverage, blur; suggests the `process` command."
-    ),
-    "calibrate": "Camera intrinsics from pictures or video of a board, with a verdict.",
-    "target": "A printable marker, marker sheet or board, true to scale.",
-    "synth": "A synthetic clip with exact truth.",
-    "verify": "Run a synthetic scene and report errors against its truth.",
-    "reproduce": (
-        "Every equation, number and figure of the four papers, beside what arfx gives."
-    ),
-    "stages": "Every stage and every setting: what it does, its default, its levels.",
-    "report": "The report of a finished job.",
-    "lens": "Depth-of-field limits of a thin lens, as printed and corrected.",
-    "bench": "Cost of each stage and level on this machine.",
-    "doctor": (
-        "What works here: renderer back ends, codecs, cores; the fix for what does not."
-    ),
-}
+COMMANDS = {name: rows["help"] for name, rows in TABLE.items() if "help" in rows}
 EXIT_CODES = (
     "Exit codes: 0 done; 2 usage or configuration; 3 input cannot be read; 4 nothing to"
     " work on; 5 rendering failed; 6 one of several clips or cameras failed; 130"
@@ -81,38 +47,9 @@ class LazyGroup(click.Group):
             command: click.Command = module.command
         return command
 
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        name, command, rest = super().resolve_command(ctx, args)
-        if command is not None:
-            _note_repeats(click.Context(command, ctx, name), rest)
-        return name, command, rest
-
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
             formatter.write_dl([*COMMANDS.items()])
-
-
-def _note_repeats(context: click.Context, arguments: Sequence[str]) -> None:
-    """Of an option that takes one value click uses the last, and drops others in silence."""
-    try:
-        used, _, order = context.command.make_parser(context).parse_args([*arguments])
-    except click.UsageError:  # which the command itself raises, with its usage
-        return
-    words = [
-        part for word in arguments for part in word.split("=", word.startswith("--"))
-    ]
-    for option in {p for p in order if isinstance(p, click.Option)}:
-        count, last = order.count(option), used.get(option.name)
-        if count < 2 or option.multiple or option.is_flag:
-            continue
-        values = [given for word, given in pairwise([*words, ""]) if word in option.opts]
-        lost = "".join(f", not {value}" for value in values if value != last)
-        if lost or len(values) < count:  # those of -oNAME
-            note(
-                f"{option.opts[-1]} takes one value and is given {count}: {last} is used{lost}"
-            )
 
 
 @click.group(

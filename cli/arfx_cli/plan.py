@@ -6,18 +6,14 @@ import itertools
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-import click
-
-from arfx.errors import counted
 from arfx_cli.console import (
     Progress,
+    arfx_command,
     detail,
-    emit_json,
-    message_options,
-    overwrite_option,
     print_table,
     say,
     verbose,
+    wrote_json,
 )
 from arfx_cli.job_options import job_config, job_options, run_options
 
@@ -25,10 +21,8 @@ if TYPE_CHECKING:
     from arfx.core.plan import FramePlan
 
 
-@click.command(params=job_options())
-@overwrite_option
-@message_options
-def command(as_json: bool, **given: Any) -> None:
+@arfx_command("plan", *job_options())
+def command(**given: Any) -> None:
     """Explain what `arfx process` with the same arguments would do to CLIP, with predicted
     time. Nothing is written.
 
@@ -46,19 +40,13 @@ def command(as_json: bool, **given: Any) -> None:
         with planned_aside(job_config(given), options) as job:
             document = plan_document(job)
     rows = document["stages"]
-    if as_json:
-        if verbose():
-            document["plans"] = [p.to_json() for p in job.plan.frames]
-        emit_json(document)
+    if verbose():
+        document["plans"] = [p.to_json() for p in job.plan.frames]
+    if wrote_json(document):
         return
-    heads = ("stage", "level", "runs", "area", "predicted", "left out, and why")
-    print_table(
-        f"plan of {counted(len(job.plan.frames), 'frames')}",
-        heads,
-        map(_cells, rows),
-        words=2,
-    )
-    for line in frame_by_frame(job.plan.frames):
+    frames = job.plan.frames
+    print_table("plan/plan_table.jinja", words=2, rows=rows, frames=len(frames))
+    for line in frame_by_frame(frames):
         detail(line)
     say(size_in_words(document["model"]))
     unpriced = [r["name"] for r in rows if r["predicted_s"] is None]
@@ -66,28 +54,10 @@ def command(as_json: bool, **given: Any) -> None:
         "plan/plan_lines.jinja",
         levels=job.plan.levels,
         predicted=job.plan.predicted,
-        frames=len(job.plan.frames),
+        frames=len(frames),
         unknown="; ".join(without_price(unpriced)) if unpriced else "",
     )
     say(text.rstrip())
-
-
-def _cells(row: dict[str, Any]) -> Sequence[str]:
-    predicted, between = (
-        "unknown" if row["predicted_s"] is None else f"{row['predicted_s']:.2f} s",
-        row["predicted_between_s"],
-    )
-    if between is not None and row["frames_run"]:
-        predicted += f" ({between[0]:.2g}–{between[1]:.2g})"
-    why = "\n".join(f"{n} × {text}" for text, n in row["reasons"].items())
-    return (
-        row["name"],
-        ", ".join(row["levels"]),
-        str(row["frames_run"]),
-        f"{row['area_fraction']:.1%}",
-        predicted,
-        why,
-    )
 
 
 def frame_by_frame(plans: Sequence[FramePlan]) -> Iterator[str]:

@@ -5,23 +5,12 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-import click
-
-from arfx_cli.console import (
-    Progress,
-    emit_json,
-    message_options,
-    overwrite_option,
-    say,
-    say_job,
-)
+from arfx_cli.console import Progress, arfx_command, say, say_job, wrote_json
 from arfx_cli.job_options import job_config, job_options, run_options
 
 
-@click.command(params=job_options())
-@overwrite_option
-@message_options
-def command(as_json: bool, **given: Any) -> None:
+@arfx_command("process", *job_options())
+def command(**given: Any) -> None:
     """Put a virtual model onto the marker of CLIP.
 
     Frame times, audio, rotation and colour tags are kept; pixels that nothing virtual
@@ -43,5 +32,4 @@ def command(as_json: bool, **given: Any) -> None:
     say_job(report)
     if options.report is not None:
         say(f"report: {options.report / 'report.html'}")
-    if as_json:
-        emit_json(report)
+    wrote_json(report)

@@ -4,26 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import click
-
-from arfx_cli.console import (
-    FOLDER,
-    detail_job,
-    emit_json,
-    message_options,
-    overwrite_option,
-    say,
-)
+from arfx_cli.console import arfx_command, detail_job, say, wrote_json
 
 
-@click.command()
-@click.argument("job_dir", metavar="JOBDIR", type=click.Path(path_type=Path))
-@click.option(
-    "-o", "--output", type=FOLDER, help="Folder of the report; default: beside JOBDIR."
-)
-@overwrite_option
-@message_options
-def command(job_dir: Path, output: Path | None, overwrite: bool, as_json: bool) -> None:
+@arfx_command("report")
+def command(job_dir: Path, output: Path | None, overwrite: bool) -> None:
     """Write report.json and report.html (one file, no outside links) of a finished job.
 
     JOBDIR is the folder that `arfx process --job JOBDIR` kept.
@@ -45,5 +30,4 @@ def command(job_dir: Path, output: Path | None, overwrite: bool, as_json: bool) 
         page = report_of_job(job_dir, folder)
     say(f"report: {page}")
     detail_job(report)
-    if as_json:
-        emit_json(report)
+    wrote_json(report)

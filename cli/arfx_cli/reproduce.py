@@ -6,45 +6,20 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Any
-
-import click
 
 from arfx_cli.console import (
-    FOLDER,
     Progress,
+    arfx_command,
     detail,
-    emit_json,
-    message_options,
     note,
-    overwrite_option,
     print_table,
     say,
+    wrote_json,
 )
 
 
-@click.command()
-@click.argument(
-    "paper", type=click.Choice(["s1", "s2", "s3", "s4", "all"]), default="all"
-)
-@click.option(
-    "-o",
-    "--output",
-    "folder",
-    required=True,
-    type=FOLDER,
-    help="Folder of the pages; made if need be.",
-)
-@click.option(
-    "--short",
-    is_flag=True,
-    help="Small pictures, few frames and repeats: for tests. Its times mean nothing.",
-)
-@overwrite_option
-@message_options
-def command(
-    paper: str, folder: Path, short: bool, overwrite: bool, as_json: bool
-) -> None:
+@arfx_command("reproduce")
+def command(paper: str, folder: Path, short: bool, overwrite: bool) -> None:
     """Compute every equation, printed number and figure of the published methods, from
     scenes that are made for it.
 
@@ -61,7 +36,7 @@ def command(
     from arfx.core.guard import Guard
     from arfx.errors import JobInterruptedError
     from arfx.reproduce import PAPERS
-    from arfx.reproduce.document import page_name, reproduce
+    from arfx.reproduce.document import page_name, reproduce, text
     from arfx.reproduce.work import Work
     from arfx.run.kernels import SYNTH, compile_ahead
     from arfx.run.place import PAGE_START, files_locked
@@ -80,26 +55,8 @@ def command(
                 )
     except JobInterruptedError:  # its message says that the job can be resumed
         raise KeyboardInterrupt from None
-    if as_json:
-        emit_json(document)
+    if wrote_json(document):
         return
-    _show(document["rows"])
+    print_table("reproduce/rows.jinja", words=7, text=text, **document)
     for name in pages:
         say(f"page: {folder / name}")
-
-
-def _show(rows: list[dict[str, Any]]) -> None:
-    from arfx.reproduce.document import text
-
-    lines: list[tuple[str, ...]] = []
-    for r in rows:
-        if lines and r["paper"] != lines[-1][0]:
-            lines.append(())
-        values = (text(r[key]) for key in ("printed", "paper_formula", "corrected"))
-        lines.append((r["paper"], r["item"], *values, r["unit"], r["verdict"]))
-    print_table(
-        "papers",
-        ("paper", "item", "printed", "printed method", "corrected", "unit", "verdict"),
-        lines,
-        words=7,
-    )

@@ -6,13 +6,11 @@ import sys
 
 import click
 
-from arfx_cli.console import emit_json, message_options
+from arfx_cli.console import arfx_command, wrote_json
 
 
-@click.command()
-@click.argument("name", metavar="[NAME]", required=False)
-@message_options
-def command(name: str | None, as_json: bool) -> None:
+@arfx_command("stages")
+def command(name: str | None) -> None:
     """List the stages in running order; with NAME, one of them or one section of a job
     file: what it does, what it reads and writes, its levels with their errors and prices,
     its settings. NAME `all` prints everything.
@@ -22,23 +20,16 @@ def command(name: str | None, as_json: bool) -> None:
       arfx stages
       arfx stages dof
       arfx stages output --json"""
-    from arfx.run.catalogue import describe, overview, page, sections, text
-    from arfx.stages import STAGES
+    from arfx.run.catalogue import describe, everything, overview, page, text
 
-    if as_json:
-        every = {
-            "stages": [describe(s) for s in STAGES],
-            "sections": [describe(s) for s in sections()],
-        }
-        emit_json(every if name in (None, "all") else describe(str(name)))
+    if name in (None, "all"):
+        document = everything()
+        shown = overview(document) if name is None else page().rstrip()
+    else:
+        document = describe(str(name))
+        shown = text(document)
+    if wrote_json(document):
         return
-    shown = (
-        overview()
-        if name is None
-        else page().rstrip()
-        if name == "all"
-        else text(describe(name))
-    )
     if not sys.stdout.isatty():
         click.echo(shown)
         return

@@ -5,35 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import click
-
 from arfx_cli.console import (
-    FOLDER,
     Progress,
+    arfx_command,
     detail_template,
-    emit_json,
-    message_options,
     note,
-    overwrite_option,
     say,
+    wrote_json,
 )
 
 
-@click.command()
-@click.argument("scene", type=click.Path(path_type=Path))
-@click.option(
-    "-o", "--output", "folder", required=True, type=FOLDER, help="Folder to make."
-)
-@click.option(
-    "--truth",
-    "kinds",
-    help="Pictures of truth to write: depth,mask,flow or none; default as the scene says.",
-)
-@overwrite_option
-@message_options
-def command(
-    scene: Path, folder: Path, kinds: str | None, overwrite: bool, as_json: bool
-) -> None:
+@arfx_command("synth")
+def command(scene: Path, folder: Path, kinds: str | None, overwrite: bool) -> None:
     """Render SCENE (a scene.toml, or the folder that holds one) into a folder.
 
     The folder holds the clip, camera.yaml, model.glb, job.toml (`arfx process --config`),
@@ -80,12 +63,11 @@ def command(
             f"next: arfx process --config {folder / 'job.toml'} -o {folder / 'out.mp4'}  "
             f" or   arfx verify {folder}"
         )
-    if as_json:
-        emit_json(
-            {
-                "folder": str(folder),
-                "frames": len(truth.frames),
-                "world": truth.world,
-                "files": files,
-            }
-        )
+    wrote_json(
+        {
+            "folder": str(folder),
+            "frames": len(truth.frames),
+            "world": truth.world,
+            "files": files,
+        }
+    )

@@ -4,40 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import click
-
 from arfx.core.guard import Guard
-from arfx_cli.console import (
-    FILE,
-    detail,
-    emit_json,
-    message_options,
-    overwrite_option,
-    say,
-)
+from arfx_cli.console import arfx_command, detail_template, say, wrote_json
 
 
-@click.command()
-@click.argument("specs", metavar="SPEC...", nargs=-1, required=True)
-@click.option(
-    "-o", "--output", required=True, type=FILE, help="File to write: .pdf, .svg or .png."
-)
-@click.option(
-    "--page",
-    default="a4",
-    show_default=True,
-    help="a0 to a5, letter, legal, tabloid, or a size such as 300mmx400mm.",
-)
-@click.option("--dpi", default=300.0, show_default=True, help="Resolution of a PNG.")
-@overwrite_option
-@message_options
+@arfx_command("target")
 def command(
     specs: tuple[str, ...],
     output: Path,
     page: str,
     dpi: float,
     overwrite: bool,
-    as_json: bool,
 ) -> None:
     """A printable marker, sheet of markers or calibration board, true to scale, with its
     size and a ruler printed on it.
@@ -58,17 +35,12 @@ def command(
         f"wrote {output}: {sheet.width_mm:g} x {sheet.height_mm:g} mm; print at 100 % and"
         " measure the ruler"
     )
-    for target, black in zip(targets, sheet.black, strict=True):
-        (x, y), (right, lower) = black.min((0, 1)), black.max((0, 1))
-        detail(
-            f"{target}: {right - x:g} x {lower - y:g} mm of black, {x:.1f} mm from the left and"
-            f" {y:.1f} mm from the top of the page"
-        )
-    if as_json:
-        emit_json(
-            {
-                "output": str(output),
-                "page_mm": [sheet.width_mm, sheet.height_mm],
-                "targets": [str(t) for t in targets],
-            }
-        )
+    blacks = zip(targets, sheet.black, strict=True)
+    detail_template("calibrate/sheet.jinja", targets=blacks)
+    wrote_json(
+        {
+            "output": str(output),
+            "page_mm": [sheet.width_mm, sheet.height_mm],
+            "targets": [str(t) for t in targets],
+        }
+    )

@@ -9,32 +9,17 @@ from pathlib import Path
 import click
 
 from arfx_cli.console import (
-    FOLDER,
     Progress,
-    detail,
+    arfx_command,
     detail_job,
-    emit_json,
-    message_options,
+    detail_template,
     note,
+    wrote_json,
 )
 
 
-@click.command()
-@click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
-@click.option(
-    "--keep",
-    type=FOLDER,
-    help="Folder for the clip, the output and the job; default temporary.",
-)
-@click.option(
-    "--workers",
-    type=click.IntRange(1),
-    default=1,
-    show_default=True,
-    help="Worker processes.",
-)
-@message_options
-def command(folder: Path, keep: Path | None, workers: int, as_json: bool) -> None:
+@arfx_command("verify")
+def command(folder: Path, keep: Path | None, workers: int) -> None:
     """Run the synthetic scene in FOLDER and report errors against its truth.
 
     FOLDER is made by `arfx synth`, or a scene folder, which is rendered first. Exit code 5
@@ -61,14 +46,10 @@ def command(folder: Path, keep: Path | None, workers: int, as_json: bool) -> Non
         work.mkdir(parents=True, exist_ok=True)
         done = verify(folder, work, progress, note, workers)
     detail_job(done.report)
-    for kind, bounds in read_tolerance(folder).get("truth", {}).items():
-        for name, bound in bounds.items() if kind in ("max", "min") else ():
-            detail(
-                f"bound: {name} {'at most' if kind == 'max' else 'at least'} {bound:g}"
-            )
-    if as_json:
-        emit_json({"folder": str(folder), "figures": done.figures, "broken": done.broken})
-    else:
+    bounds = read_tolerance(folder).get("truth", {})
+    detail_template("measure/verify_bounds.jinja", bounds=bounds)
+    document = {"folder": str(folder), "figures": done.figures, "broken": done.broken}
+    if not wrote_json(document):
         click.echo(render("measure/verify.jinja", f=done.figures), nl=False)
     if done.broken:
         raise ArfxError(

@@ -69,7 +69,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_wheel_holds_every_module_and_the_presets(wheel: Path) -> None:
     held = set(zipfile.ZipFile(wheel).namelist())
-    kinds = (".json", ".toml", ".html", ".vert", ".frag")
+    kinds = (".json", ".toml", ".html", ".jinja", ".vert", ".frag")
     data = [
         p
         for p in (ROOT / "arfx").rglob("*")

@@ -34,7 +34,6 @@ def found(
         f"{family}:{number}": Found(
             family,
             number,
-            every,
             [80.0] * frames,
             quads=quads,
             counted=set(every),

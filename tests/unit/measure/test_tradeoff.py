@@ -298,7 +298,7 @@ def test_what_is_left_of_a_job_has_the_settings_of_a_job_of_its_own() -> None:
     work = work_of(tiny_frame(stages), usual)
     left = {n: level for n, level in usual.items() if n != "gi"}
     assert (
-        work.stages(usual) is stages and work.stages(left)["raster"] is stages["raster"]
+        work.stages(usual) == stages and work.stages(left)["raster"] is stages["raster"]
     )
     soft = [work.stages(levels)["lightmap"].soft for levels in (usual, left)]
     assert soft == [False, True], "indirect light takes over, and gives back"
