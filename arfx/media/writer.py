@@ -130,7 +130,7 @@ class _Video:
         s.pix_fmt = "bgr0" if packed else plan.pixel_format
         s.time_base = ctx.time_base = info.time_base
         # slice threads cost x264 half its speed
-        ctx.thread_count, ctx.thread_type = plan.encoder_threads, "FRAME"
+        ctx.thread_count, ctx.thread_type = codec.threads, "FRAME"
         set_tags(ctx, plan, info)
         self._fields: Any = None  # marks pictures as interlaced
         if info.fields:
