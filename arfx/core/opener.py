@@ -242,6 +242,10 @@ def _unreadable(path: Path, kind: str, e: OSError | ValueError) -> InputError:
     if isinstance(e, FileNotFoundError):
         return InputError(f"{kind} {path}: no such file", "check the path")
     return InputError(
-        f"{kind} {path} cannot be read: {getattr(e, 'strerror', None) or e}",
-        "check the path and its permissions",
+        f"{kind} {path} cannot be read: {why(e)}", "check the path and its permissions"
     )
+
+
+def why(e: Exception) -> str:
+    """What the system or FFmpeg says of an error."""
+    return getattr(e, "strerror", None) or str(e)

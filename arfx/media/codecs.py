@@ -16,7 +16,7 @@ import av
 from av.codec.codec import find_best_pix_fmt_of_list
 
 from arfx.core.machine import preserve_scheduling
-from arfx.core.opener import ffmpeg_url, regular
+from arfx.core.opener import ffmpeg_url, regular, why
 from arfx.errors import InputError
 from arfx.media.photos import is_photo, open_photo
 from arfx.media.planes import PixelLayout, layout_named
@@ -136,14 +136,12 @@ def open_video(path: Path, kind: str = "clip") -> Any:
             ffmpeg_url(path), metadata_errors="replace", container_options=_OPTIONS
         )
     except (av.error.FFmpegError, OSError, ValueError) as e:
-        why, hint = _diagnose(path)
-        if not why and isinstance(
-            e, av.error.ArgumentError
-        ):  # the list of formats said no
-            why, hint = "it is of a format that is not read", "convert it to .mp4 or .mkv"
+        reason, hint = _diagnose(path)
+        if not reason and isinstance(e, av.error.ArgumentError):  # the list of formats
+            reason = "it is of a format that is not read"
+            hint = "convert it to .mp4 or .mkv"
         raise InputError(
-            f"{kind} {path} cannot be read as a video:"
-            f" {why or getattr(e, 'strerror', None) or e}",
+            f"{kind} {path} cannot be read as a video: {reason or why(e)}",
             hint
             or "a file that FFmpeg can decode; a recording that was cut off before its index"
             " was written may be repairable",

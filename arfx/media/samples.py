@@ -120,7 +120,7 @@ def _chroma_line(s, plane, level, row, left, samples, out):
 @line_kernel(fastmath=False)  # so sums of three products are rounded alike everywhere
 def _coded_line(s, planes, row, left, scratch, out):
     """out (w, 3) = R'G'B' of one line from column `left` on. scratch : lines"""
-    w, m, level = out.shape[0] // 3, s.rgb_from_planes, s.levels[0]
+    w, level, (red, green, blue) = out.shape[0] // 3, s.levels[0], s.rgb_from_planes
     for c in range(2):
         line = scratch[c][: w + MARGIN]
         _chroma_line(s, planes[1 + c], s.levels[1 + c], row, left, scratch[2], line)
@@ -130,9 +130,9 @@ def _coded_line(s, planes, row, left, scratch, out):
     one, two, three = np.uintp(1), np.uintp(2), np.uintp(3)
     for k in range(w):
         i, y = np.uintp(k) * three, (_F(luma[k]) - level[0]) * level[1]
-        out[i] = m[0][0] * y + m[0][1] * u[k] + m[0][2] * v[k]
-        out[i + one] = m[1][0] * y + m[1][1] * u[k] + m[1][2] * v[k]
-        out[i + two] = m[2][0] * y + m[2][1] * u[k] + m[2][2] * v[k]
+        out[i] = red[0] * y + red[1] * u[k] + red[2] * v[k]
+        out[i + one] = green[0] * y + green[1] * u[k] + green[2] * v[k]
+        out[i + two] = blue[0] * y + blue[1] * u[k] + blue[2] * v[k]
 
 
 @line_kernel(fastmath=FAST)
@@ -224,7 +224,7 @@ def _add_steps(line, differences, level):
 def _add_line(s, luma, row, left, coded, rect, scratch, sums):
     """Adds the differences `coded` (n, 3) of one line to its luma and to the sums of chroma.
     Beyond the line they are zero, beyond the picture its edge goes on."""
-    (width, height), (sx, sy), m = s.size, s.steps, s.planes_from_rgb
+    (width, height), (sx, sy), (to_y, to_u, to_v) = s.size, s.steps, s.planes_from_rgb
     n, top, origin = luma.shape[0], rect[1] >> sy, rect[0] >> sx
     start = (left & ((1 << sx) - 1)) + (1 << sx) - 1  # place of the first pixel in a line
     end = start + n
@@ -233,9 +233,9 @@ def _add_line(s, luma, row, left, coded, rect, scratch, sums):
     for k in range(n):
         i = np.uintp(k) * three
         r, g, b = coded[i], coded[i + one], coded[i + two]
-        y[k] = m[0][0] * r + m[0][1] * g + m[0][2] * b
-        u[k] = m[1][0] * r + m[1][1] * g + m[1][2] * b
-        v[k] = m[2][0] * r + m[2][1] * g + m[2][2] * b
+        y[k] = to_y[0] * r + to_y[1] * g + to_y[2] * b
+        u[k] = to_u[0] * r + to_u[1] * g + to_u[2] * b
+        v[k] = to_v[0] * r + to_v[1] * g + to_v[2] * b
     _add_steps(luma, y, s.levels[0])
     for c in range(1, 3):
         line = scratch[c]

@@ -78,8 +78,7 @@ class ChunkWriter:
 
     def _abandon(self) -> None:
         if self._file is not None:
-            with contextlib.suppress(av.error.FFmpegError, OSError):
-                self._file.close()
+            abandon(self._file)
         remove_output(self.part)
 
 
@@ -200,6 +199,12 @@ def set_tags(context: Any, plan: OutputPlan, info: ClipInfo) -> None:
         context.field_order = info.field_order
     if info.sample_aspect is not None:
         context.sample_aspect_ratio = info.sample_aspect
+
+
+def abandon(file: Any) -> None:
+    """Close one that is whole already, or has failed: the first error is the one that counts."""
+    with contextlib.suppress(av.error.FFmpegError, OSError):
+        file.close()
 
 
 @contextlib.contextmanager
