@@ -137,23 +137,21 @@ class ClipReader:
         """None where packets do not tell: a time is missing, there twice, or they go back."""
         pts, keys, decoded = list[int](), list[int](), None
         for packet in self._demux(self._open()):
-            if packet.pts is None or (self._by_decoding and packet.pts != packet.dts):
+            time, dts = packet.pts, packet.dts
+            if time is None or (self._by_decoding and time != dts):
                 return None
-            if decoded is not None and packet.dts is not None and packet.dts < decoded:
+            if decoded is not None and dts is not None and dts < decoded:
                 return None
-            decoded = packet.dts
-            if not packet.is_discard and packet.pts >= self.info.start_pts:
-                pts.append(packet.pts)
-                if packet.is_keyframe:
-                    keys.append(packet.pts)
+            decoded = dts
+            if packet.is_discard or time < self.info.start_pts:
+                continue
+            pts.append(time)
+            if packet.is_keyframe:
+                keys.append(time)
         if len(set(pts)) < len(pts):
             return None
-        return FrameTimes(
-            sorted(pts),
-            sorted(keys),
-            self._verdict(whole=True),
-            self.damaged or bool(self._stopped),
-        )
+        irregular = self.damaged or bool(self._stopped)
+        return FrameTimes(sorted(pts), sorted(keys), self._verdict(True), irregular)
 
     def shifts(self) -> list[int]:
         """What frames' times are given beside those of the file, after each place where
@@ -162,14 +160,13 @@ class ClipReader:
         found = list[int]()
         decoded, end = None, self.info.start_pts
         for packet in self._demux(self._open()):
-            if packet.dts is None or packet.pts is None:
+            pts, dts = packet.pts, packet.dts
+            if dts is None or pts is None:
                 continue
-            if decoded is not None and self._begins_anew(decoded, packet.dts):
-                found.append(end - packet.pts)
-            decoded = packet.dts
-            end = max(
-                end, packet.pts + (packet.duration or 0) + (found[-1] if found else 0)
-            )
+            if decoded is not None and self._begins_anew(decoded, dts):
+                found.append(end - pts)
+            decoded = dts
+            end = max(end, pts + (packet.duration or 0) + sum(found[-1:]))
         return found
 
     def _begins_anew(self, before: int, after: int) -> bool:
@@ -188,7 +185,7 @@ class ClipReader:
                 yield from found
                 return
         yield from self._timed(self._decode(self._open()))
-        self.truncated = self._verdict(whole=True)
+        self.truncated = self._verdict(True)
 
     def _from_key_frame(self, first_pts: int) -> Iterator[tuple[av.VideoFrame, int]]:
         """Frames from first_pts on, or nothing at all when the key frame before it cannot
@@ -217,7 +214,7 @@ class ClipReader:
             begun = True
             if last >= first_pts:
                 yield picture, last
-        self.truncated = self._verdict(whole=False)
+        self.truncated = self._verdict(False)
 
     def _decode(self, stream: Any) -> Iterator[av.VideoFrame]:
         """Pictures until the end; concealed ones, and those of another size, only if a good
@@ -363,11 +360,8 @@ def missing_frames(
     for k in np.flatnonzero(steps > 2 * _APART * usual).tolist():
         first = bisect_right(stated, shown[k] + _APART * usual)
         lost = stated[first : bisect_left(stated, shown[k + 1] - _APART * usual)]
-        count = max(
-            len(lost),
-            round(steps[k] / usual) - 1 if steady and steps[k] >= 1.5 * usual else 0,
-        )
-        if count:
+        gap = round(steps[k] / usual) - 1 if steady and steps[k] >= 1.5 * usual else 0
+        if count := max(len(lost), gap):
             found.append((lost[0] if lost else round(shown[k] + usual), count))
     return found
 
