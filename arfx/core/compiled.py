@@ -28,9 +28,9 @@ from arfx.core.machine import cache_folder, instructions
 
 FAST = {"contract", "nsz", "arcp"}  # what the compiler may do to rounding in most loops
 _PACKAGES = ("arfx", "arfx_cli")
-_NUMBAS = ",".join(
-    f"{kind}CacheLocator"
-    for kind in ("UserProvided", "InTree", "UserWide", "IPython", "Zip")
+_NUMBAS = (
+    "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator,"
+    "ZipCacheLocator"
 )
 # What every x86-64 processor since 2013 (Intel) or 2015 (AMD) can do: code for it can be shipped.
 TARGET = "x86-64-v3"
@@ -102,7 +102,7 @@ class CacheLocator:
         return str(code_folder(Path(self._file).parent))
 
     def ensure_cache_path(self) -> None:
-        Path(self.get_cache_path()).mkdir(parents=True, exist_ok=True)
+        """`code_folder` has made it."""
 
     def get_source_stamp(self) -> str:
         return _stamp(self._file)

@@ -100,10 +100,7 @@ class Pose(Plain):
         return Pose.from_rotvec(np.array(v[:3]), np.array(v[3:6]))
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Pose) and bool(
-            np.array_equal(self.rotation, other.rotation)
-            and np.array_equal(self.translation_m, other.translation_m)
-        )
+        return isinstance(other, Pose) and np.array_equal(self.matrix, other.matrix)
 
     __hash__ = None  # type: ignore[assignment]  # arrays inside; compare by value only
 

@@ -114,11 +114,11 @@ def supported_codecs(container: str) -> frozenset[str]:
 
 
 def nearest_format(
-    layout: PixelLayout, codec: Codec, odd: tuple[bool, bool]
+    layout: PixelLayout, codec: Codec, odd: tuple[int, int]
 ) -> PixelLayout | None:
     """The codec's format that loses least of a source layout, as FFmpeg reckons it; None if
     none holds the picture's size.
-    odd : the coded width, height are odd"""
+    odd : 1 where the coded width, height are odd"""
     able = {f.name: f for f in codec.formats if codec.lossless or f.holds(odd)}
     best, _ = find_best_pix_fmt_of_list(list(able), layout.plain_name)
     return None if best is None else able[best.name]

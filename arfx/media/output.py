@@ -84,7 +84,7 @@ def plan_output(
     size that the codec has no pixel format for.
     InputError: an interlaced clip, for a codec without fields."""
     path, settings = Path(path), settings or OutputSettings()
-    container, codec = _choose(path, settings, info.hdr)
+    container, codec = choose_format(path, settings, info.hdr)
     if codec.sequence:
         return _plan_sequence(info, path, codec, settings)
     if container == PHOTO:
@@ -124,9 +124,8 @@ def plan_output(
     elif full and target.kind == "yuv":
         range_tag = 2
     if codec.name == "prores" and matrix_tag == UNSPECIFIED:
-        matrix_tag = {"bt709": 1, "bt601": 6}[
-            matrix
-        ]  # its bitstream always names one: then the one that was used
+        # its bitstream always names one: then the one that was used
+        matrix_tag = {"bt709": 1, "bt601": 6}[matrix]
     if counts := {"matroska": "Matroska", "webm": "WebM"}.get(container):
         notices.append(
             f"{counts} counts time in milliseconds: frame times are rounded to 1 ms"
@@ -152,15 +151,13 @@ def plan_output(
     )
 
 
-def check_format(path: Path, settings: OutputSettings) -> None:
-    """Raises ConfigError for an extension or a codec that does not exist, or images without
-    a number in their names.
-    """
-    _choose(path, settings)
+def choose_format(
+    path: Path, settings: OutputSettings, hdr: bool = False
+) -> tuple[str, Codec]:
+    """Container, as of OutputPlan, and codec. Raises ConfigError for an extension or a codec
+    that does not exist, or images without a number in their names.
 
-
-def _choose(path: Path, settings: OutputSettings, hdr: bool = False) -> tuple[str, Codec]:
-    """hdr : the clip is HLG or PQ, which players expect in H.265"""
+    hdr : the clip is HLG or PQ, which players expect in H.265"""
     suffix, name = path.suffix.lower(), (settings.codec or "").lower()
     name = ALIASES.get(name, name)
     if name and name not in CODECS:
@@ -275,7 +272,7 @@ def _pixel_format(
     info: ClipInfo, codec: Codec, settings: OutputSettings, notices: list[str]
 ) -> PixelLayout:
     source = info.layout
-    odd = (info.coded_width % 2 == 1, info.coded_height % 2 == 1)
+    odd = info.coded_width % 2, info.coded_height % 2
     size = f"{info.coded_width}x{info.coded_height}"
     if asked := settings.pixel_format:
         plain = asked.replace("yuvj", "yuv")
@@ -295,11 +292,11 @@ def _pixel_format(
         notices.append("the clip's transparency is not written")
     target = nearest_format(source, codec, odd)
     if target is None:
-        able = [
-            n
-            for n, c in CODECS.items()
+        able = (
+            c.name
+            for c in CODECS.values()
             if c.containers and nearest_format(source, c, odd)
-        ]
+        )
         raise ConfigError(
             f"codec {codec.name} cannot write the odd picture size {size}",
             f"one of {', '.join(able)}",
@@ -307,14 +304,10 @@ def _pixel_format(
     both_yuv = target.kind == source.kind == "yuv"
     if both_yuv and target.subsampling != source.subsampling:
         too_odd = any(odd) and target.subsampling == "444"
-        why = (
-            "the picture size is odd"
-            if too_odd
-            else f"{codec.name} has no {source.subsampling}"
-        )
-        notices.append(
-            f"chroma is written as 4:{target.subsampling[1]}:{target.subsampling[2]}: {why}"
-        )
+        why = f"{codec.name} has no {source.subsampling}"
+        why = "the picture size is odd" if too_odd else why
+        written = ":".join(target.subsampling)
+        notices.append(f"chroma is written as {written}: {why}")
     if target.depth < source.depth:
         notices.append(
             f"{source.depth}-bit samples are written with {target.depth} bits: {codec.name}"

@@ -63,7 +63,7 @@ class PixelLayout:
         """The same planes without FFmpeg's deprecated j: the range is a tag, not a format."""
         return self.name.replace("yuvj", "yuv")
 
-    def holds(self, odd: tuple[bool, bool]) -> bool:
+    def holds(self, odd: tuple[int, int]) -> bool:
         """Whether its chroma covers a picture of odd width, height."""
         return not (odd[0] and self.sub_x) and not (odd[1] and self.sub_y)
 
