@@ -217,7 +217,7 @@ def image_names(pattern: str) -> Callable[[str], bool]:
 
     def named(name: str) -> bool:
         found = number.fullmatch(name)
-        return bool(found) and (pattern % int(found[1])).lower() == name.lower()
+        return found is not None and (pattern % int(found[1])).lower() == name.lower()
 
     return named
 
