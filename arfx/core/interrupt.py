@@ -151,7 +151,8 @@ def committing() -> Iterator[None]:
         if main and pending():
             raise KeyboardInterrupt
         yield
-        _now.committed |= main
+        if main:
+            _now.committed = True
 
 
 def commit(code: int = 0) -> None:

@@ -21,26 +21,9 @@ from arfx.errors import ConfigError, InputError
 
 MIB = 1 << 20
 # kind of file, as messages call it -> largest size in MiB
-LIMITS = {
-    "clip": 1 << 24,  # read frame by frame: 16 TiB, the largest file of ext4
-    "depth": 1 << 24,  # read map by map, as a clip
-    "depth map": 256,  # 8192 x 4096 px of 32-bit float twice over
-    "model": 1024,  # millions of faces as binary arrays
-    "model part": 1024,  # buffers and textures of a model, as the model itself
-    "image": 512,  # an environment of 8192 x 4096 px of 32-bit float RGB, with room
-    "picture": 512,  # a camera's largest raw-sized TIFF
-    "pattern": 256,  # a print's picture: a page scanned at 600 dpi, uncompressed
-    # a hundred times a calibration; YAML takes seconds and 100 MB for that much
-    "camera file": 0.25,
-    "job file": 1,  # thousands of settings
-    "manifest": 64,  # a hundred thousand clips with settings of their own
-    "scene": 1,  # thousands of objects
-    "marker map": 8,  # tens of thousands of markers
-    "poses": 256,  # a million lines
-    "truth": 256,  # a hundred thousand frames of a synthetic clip
-    "report": 4096,  # facts of hours of video, about 2 kB a frame
-    "tradeoff": 64,  # every level of every stage on thousands of frames
-}
+LIMITS: dict[str, float] = tomllib.loads(
+    Path(__file__).with_name("limits.toml").read_text("utf-8")
+)
 # nesting of tables and lists in text: people write five; parsers and printers recurse
 MAX_NESTING = 64
 MAX_INTEGER = 1 << 63  # TOML's range; beyond it numbers overflow wherever they are used
