@@ -10,6 +10,7 @@ from arfx.core.codec import Document, Unbounded
 from arfx.core.numerics import normalise
 from arfx.core.sampling import sphere
 
+_EVEN = 0.28209479177387814  # the harmonic of degree 0
 # Fraction of each degree of a radiance distribution that remains in the radiance of a white
 # diffuse surface over its normal (Ramamoorthi and Hanrahan 2001, eq. 8, over pi), for the
 # nine `harmonics`.
@@ -105,7 +106,7 @@ class Light(Document):
     ) -> Light:
         """A light whose ambient part is `soft` (9, 3), with its mean over all normals."""
         return Light(
-            triple(soft[0] * harmonics(np.array([0.0, 0.0, 1.0]))[0]),
+            triple(soft[0] * _EVEN),
             lights,
             source,
             tuple(map(triple, soft)),
@@ -119,7 +120,7 @@ def harmonics(n: np.ndarray) -> np.ndarray:
     """
     x, y, z = n[..., 0], n[..., 1], n[..., 2]
     terms = (
-        np.full(x.shape, 0.28209479177387814),
+        np.full(x.shape, _EVEN),
         0.4886025119029199 * y,
         0.4886025119029199 * z,
         0.4886025119029199 * x,
