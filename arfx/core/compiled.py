@@ -14,7 +14,6 @@ import contextlib
 import functools
 import hashlib
 import os
-import platform
 import re
 import shutil
 import stat
@@ -29,9 +28,9 @@ from arfx.core.machine import cache_folder, instructions
 
 FAST = {"contract", "nsz", "arcp"}  # what the compiler may do to rounding in most loops
 _PACKAGES = ("arfx", "arfx_cli")
-_NUMBAS = ",".join(
-    f"{kind}CacheLocator"
-    for kind in ("UserProvided", "InTree", "UserWide", "IPython", "Zip")
+_NUMBAS = (
+    "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator,"
+    "ZipCacheLocator"
 )
 # What every x86-64 processor since 2013 (Intel) or 2015 (AMD) can do: code for it can be shipped.
 TARGET = "x86-64-v3"
@@ -63,8 +62,6 @@ def target_cpu() -> str:
     """The processor to compile for: TARGET; "" = this very one, where TARGET's instructions
     are lacking or not known.
     """
-    if platform.machine() not in ("x86_64", "AMD64"):
-        return ""
     return TARGET if instructions() >= _REQUIRED else ""
 
 
@@ -105,7 +102,7 @@ class CacheLocator:
         return str(code_folder(Path(self._file).parent))
 
     def ensure_cache_path(self) -> None:
-        Path(self.get_cache_path()).mkdir(parents=True, exist_ok=True)
+        """`code_folder` has made it."""
 
     def get_source_stamp(self) -> str:
         return _stamp(self._file)
@@ -168,21 +165,21 @@ def code_folder(folder: Path) -> Path:
     can be written of NUMBA_CACHE_DIR, beside the modules, the user's cache folder, and one
     for this run. Code that was shipped with the package is copied."""
     beside = folder / "__pycache__"
-    trusted = not beside.exists() or not _open_to_others(beside)
-    shipped = sorted(beside.glob("*.nb[ic]")) if trusted else []
-    state = [
-        str(folder),
-        *((file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in shipped),
-    ]
+    shipped = sorted(beside.glob("*.nb[ic]"))
+    if shipped and _open_to_others(beside):
+        shipped = []
+    state: list[Any] = [str(folder)]
+    for file in shipped:
+        status = file.stat()
+        state.append((file.name, status.st_size, status.st_mtime_ns))
     name = f"{folder.name}-{hashlib.sha256(repr(state).encode()).hexdigest()[:16]}"
     given = os.environ.get(_FOLDER)
-    if given and _prepare_folder(Path(given) / name, shipped):
-        return Path(given) / name
-    if _prepare_folder(beside, []):
-        return beside
+    places = [Path(given) / name, beside] if given else [beside]
     with contextlib.suppress(RuntimeError):  # no home
-        if _prepare_folder(cache_folder() / name, shipped):
-            return cache_folder() / name
+        places.append(cache_folder() / name)
+    for place in places:
+        if _prepare_folder(place, shipped):
+            return place
     try:
         place = _folder_of_this_run() / name
     except OSError:  # then nothing else can be written either
@@ -216,13 +213,14 @@ def _open_to_others(place: Path) -> bool:
     if not hasattr(os, "getuid"):
         return False
     status, above = place.stat(), place.parent.stat()
-    alone = {os.getgid()} if os.getuid() == os.getgid() else set()
-    shared = [
-        s.st_mode & (0o002 if s.st_gid in alone else 0o022) for s in (status, above)
-    ]
-    replaceable = shared[1] and not above.st_mode & stat.S_ISVTX
-    owners = {0, os.getuid(), Path(__file__).stat().st_uid}
-    return bool(shared[0] or replaceable or status.st_uid not in owners)
+    user = os.getuid()
+    alone = user if user == os.getgid() else None
+    shared, replaceable = (
+        s.st_mode & (0o002 if s.st_gid == alone else 0o022) for s in (status, above)
+    )
+    owners = {0, user, Path(__file__).stat().st_uid}
+    sticky = above.st_mode & stat.S_ISVTX
+    return bool(shared or (replaceable and not sticky) or status.st_uid not in owners)
 
 
 def _prepare_folder(place: Path, shipped: list[Path]) -> bool:

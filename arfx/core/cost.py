@@ -59,13 +59,12 @@ class Prediction:
 
 def measured(seconds: float) -> Prediction:
     """What is known because it was measured."""
-    return Prediction(seconds, seconds, seconds)
+    return with_spread(seconds, 0)
 
 
 def with_spread(seconds: float, spread: float) -> Prediction:
-    return Prediction(
-        seconds, seconds * math.exp(-_Z_90 * spread), seconds * math.exp(_Z_90 * spread)
-    )
+    low, high = math.exp(-_Z_90 * spread), math.exp(_Z_90 * spread)
+    return Prediction(seconds, seconds * low, seconds * high)
 
 
 def sum_independent(parts: Iterable[Prediction]) -> Prediction:
@@ -126,10 +125,8 @@ class Prices(Document):
         """None = not known."""
         if (price := self.prices.get(key)) is None:
             return None
-        return with_spread(
-            price.seconds(terms),
-            price.spread if self.calibrated else max(price.spread, UNCALIBRATED),
-        )
+        least = 0 if self.calibrated else UNCALIBRATED
+        return with_spread(price.seconds(terms), max(price.spread, least))
 
     def with_stage(self, stage: str, own: Prices) -> Prices:
         """These, but for one stage, which `own` prices."""

@@ -49,24 +49,14 @@ class Guard:
         not replaced at all.
         """
         self.check_not_read(path, option)
-        if not (folder_made or path.absolute().parent.is_dir()):
-            raise ConfigError(
-                f"output folder {path.parent} does not exist",
-                f"make it first, or name another with {option}",
-            )
+        if not folder_made:
+            _check_parent(path, option)
         if not os.path.lexists(path):
             return
-        if path.is_dir() or not (path.is_file() or path.is_symlink()):
-            raise ConfigError(
-                f"output {path} is not a file", f"name another with {option}"
-            )
-        if not (
-            self._may_replace(path) or (start and self.own)
-        ):  # a report that was begun behind the output is the job's too
-            raise ConfigError(
-                f"output {path} exists",
-                f"--overwrite replaces it; or name another with {option}",
-            )
+        _check_file(path, option)
+        # a report that was begun behind the output is the job's too
+        if not (start and self.own):
+            self._check_replaceable(path, option)
         if start and not _begins_with(path, start):
             raise ConfigError(
                 f"{path} was not written by arfx: it is not replaced",
@@ -80,48 +70,29 @@ class Guard:
 
         starts : as in `file`
         """
-        if os.path.lexists(folder) and not folder.is_dir():
-            raise ConfigError(
-                f"{folder} is a file, not a folder", f"name another with {option}"
-            )
+        _check_folder(folder, option)
         for name, start in starts.items():
             self.file(folder / name, start, option, folder_made=True)
 
     def images(self, folder: Path, suffix: str, named: Callable[[str], bool]) -> None:
         """A folder of images to write. named : whether a file name is one of theirs"""
-        if os.path.lexists(folder) and not folder.is_dir():
-            raise ConfigError(f"output folder {folder} is a file", "name another with -o")
-        if not (folder.is_dir() or folder.absolute().parent.is_dir()):
-            raise ConfigError(
-                f"output folder {folder.parent} does not exist",
-                "make it first, or name another with -o",
-            )
+        _check_folder(folder, "-o")
         if not folder.is_dir():
+            _check_parent(folder, "-o")
             return
         self._refuse_if_read(folder, "-o")
         for name in sorted(os.listdir(folder)):  # noqa: PTH208 - names alone
-            mine = named(name) or name == TIMES
+            path, mine = folder / name, named(name) or name == TIMES
             if mine:
-                self._refuse_if_read(folder / name, "-o")
-            if mine and (folder / name).is_dir():
-                raise ConfigError(
-                    f"output {folder / name} is not a file", "name another with -o"
-                )
-            if (
-                mine or Path(name).suffix.lower() == suffix.lower()
-            ) and not self._may_replace(folder / name):
-                raise ConfigError(
-                    f"output {folder / name} exists",
-                    "--overwrite replaces it; or name another with -o",
-                )
+                self._refuse_if_read(path, "-o")
+                _check_file(path, "-o")
+            if mine or path.suffix.lower() == suffix.lower():
+                self._check_replaceable(path, "-o")
 
     def folder(self, path: Path, option: str) -> None:
         """A folder that the command keeps for itself: no input is in it."""
         check_file_name(path / ("0" * 60) / ("0" * 120), option)
-        if os.path.lexists(path) and not path.is_dir():
-            raise ConfigError(
-                f"{path} is a file, not a folder", f"name another with {option}"
-            )
+        _check_folder(path, option)
         inside = _real(path) + os.sep
         for real, what in self._reads.items():
             if (real + os.sep).startswith(inside):
@@ -135,8 +106,12 @@ class Guard:
         check_file_name(path, option)
         self._refuse_if_read(path, option)
 
-    def _may_replace(self, path: Path) -> bool:
-        return self.overwrite or fingerprint(path) in self.own
+    def _check_replaceable(self, path: Path, option: str) -> None:
+        if not (self.overwrite or fingerprint(path) in self.own):
+            raise ConfigError(
+                f"output {path} exists",
+                f"--overwrite replaces it; or name another with {option}",
+            )
 
     def _refuse_if_read(self, path: Path, option: str) -> None:
         if what := self._reads.get(_real(path)) or self._by_identity.get(_identity(path)):
@@ -144,6 +119,26 @@ class Guard:
                 f"output {path} is also an input ({what}): it would be lost",
                 f"name another with {option}",
             )
+
+
+def _check_parent(path: Path, option: str) -> None:
+    if not path.absolute().parent.is_dir():
+        raise ConfigError(
+            f"output folder {path.parent} does not exist",
+            f"make it first, or name another with {option}",
+        )
+
+
+def _check_folder(path: Path, option: str) -> None:
+    if os.path.lexists(path) and not path.is_dir():
+        raise ConfigError(
+            f"{path} is a file, not a folder", f"name another with {option}"
+        )
+
+
+def _check_file(path: Path, option: str) -> None:
+    if path.is_dir() or not (path.is_file() or path.is_symlink()):
+        raise ConfigError(f"output {path} is not a file", f"name another with {option}")
 
 
 def check_file_name(path: Path, option: str = "-o") -> None:
@@ -154,11 +149,8 @@ def check_file_name(path: Path, option: str = "-o") -> None:
         os.lstat(path.absolute())
     except OSError as e:
         if e.errno in (errno.ENAMETOOLONG, errno.EINVAL):
-            name = (
-                str(path)
-                if len(str(path)) <= 100
-                else f"{str(path)[:60]}…{str(path)[-30:]}"
-            )
+            name = str(path)
+            name = name if len(name) <= 100 else f"{name[:60]}…{name[-30:]}"
             raise ConfigError(
                 f"the name {name} is too long for this disk",
                 f"a shorter one with {option}",

@@ -106,25 +106,17 @@ def check() -> None:
 
 def exit_code() -> int:
     """0 = none came in time; 130 for Ctrl-C, 143 for SIGTERM, 129 for SIGHUP."""
-    return (
-        128
-        + (
-            _now.number
-            if _now.number != getattr(signal, "SIGBREAK", 0)
-            else signal.SIGINT
-        )
-        if pending()
-        else 0
-    )
+    if not pending():
+        return 0
+    is_break = _now.number == getattr(signal, "SIGBREAK", None)
+    return 128 + (signal.SIGINT if is_break else _now.number)
 
 
 def cause() -> str:
     """What stopped the work, in words."""
-    return (
-        "interrupted"
-        if exit_code() in (0, 130)
-        else f"stopped by {signal.Signals(_now.number).name}"
-    )
+    if exit_code() in (0, 130):
+        return "interrupted"
+    return f"stopped by {signal.Signals(_now.number).name}"
 
 
 def _in_main_thread() -> bool:
@@ -154,14 +146,13 @@ def committing() -> Iterator[None]:
 
     Raises KeyboardInterrupt before it if a signal was received; after it none counts.
     """
-    if not _in_main_thread():
-        yield
-        return
+    main = _in_main_thread()
     with deferred():
-        if pending():
+        if main and pending():
             raise KeyboardInterrupt
         yield
-        _now.committed = True
+        if main:
+            _now.committed = True
 
 
 def commit(code: int = 0) -> None:
@@ -188,16 +179,15 @@ def starting_workers() -> Iterator[None]:
         from multiprocessing import resource_tracker
 
         resource_tracker.ensure_running()
+    masks = hasattr(signal, "pthread_sigmask")
     with deferred():
         previous = (
-            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-            if hasattr(signal, "pthread_sigmask")
-            else None
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masks else set()
         )
         try:
             yield
         finally:
-            if previous is not None:
+            if masks:
                 signal.pthread_sigmask(signal.SIG_SETMASK, previous)
 
 

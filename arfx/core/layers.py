@@ -20,24 +20,19 @@ class Layer(StrEnum):
     PLATE = "plate"  # (h, w, 3) the real frame; never changed
     IMAGE = "image"  # (h, w, 3) the composite so far
     VIRTUAL = "virtual"  # (h, w, 3) shaded virtual object, premultiplied by COVERAGE
-    COVERAGE = (  # (h, w) fraction of the pixel that the virtual object covers, 0..1
-        "coverage"
-    )
-    DEPTH = (  # (h, w) metres along the optical axis of the nearest virtual surface; inf = none
-        "depth"
-    )
+    # (h, w) fraction of the pixel that the virtual object covers, 0..1
+    COVERAGE = "coverage"
+    # (h, w) metres along the optical axis of the nearest virtual surface; inf = none
+    DEPTH = "depth"
     NORMAL = "normal"  # (h, w, 3) unit, WORLD frame, towards the camera; zero = none
-    POSITION = (  # (h, w, 3) metres, WORLD frame, of the nearest virtual surface; zero = none
-        "position"
-    )
+    # (h, w, 3) metres, WORLD frame, of the nearest virtual surface; zero = none
+    POSITION = "position"
     ALBEDO = "albedo"  # (h, w, 3) base colour, not premultiplied
-    MATERIAL = (  # (h, w, 4) metallic, roughness, specular (dielectric F0 / 0.08), alpha
-        "material"
-    )
+    # (h, w, 4) metallic, roughness, specular (dielectric F0 / 0.08), alpha
+    MATERIAL = "material"
     EMISSIVE = "emissive"  # (h, w, 3) emitted radiance
-    OCCLUSION = (  # (h, w) share of the soft light that the material's own picture leaves, 1 = all
-        "occlusion"
-    )
+    # (h, w) share of the soft light that the material's own picture leaves, 1 = all
+    OCCLUSION = "occlusion"
     COAT = "coat"  # (h, w, 2) clear coat: how much, 0..1; roughness
     SHEEN = "sheen"  # (h, w, 4) colour of fibres, 0 = none; roughness
     # (h, w, 3) unit, WORLD frame, of the surface without its normal map; zero = none
@@ -49,30 +44,18 @@ class Layer(StrEnum):
     REAL_DEPTH = "real_depth"
 
 
-# (channels, 0 = none; dtype; value) that a layer has where no stage has written it: nothing
-# virtual, no shadow.
-_NEUTRAL: dict[Layer, tuple[int, type, float]] = {
-    **{
-        name: (3, np.float32, 0.0)
-        for name in (
-            Layer.VIRTUAL,
-            Layer.NORMAL,
-            Layer.SMOOTH_NORMAL,
-            Layer.POSITION,
-            Layer.ALBEDO,
-            Layer.EMISSIVE,
-        )
-    },
-    Layer.COVERAGE: (0, np.float32, 0.0),
-    Layer.DEPTH: (0, np.float32, np.inf),
-    Layer.MATERIAL: (4, np.float32, 0.0),
-    Layer.OBJECT_ID: (0, np.int32, 0),
-    Layer.OCCLUSION: (0, np.float32, 1.0),
-    Layer.COAT: (2, np.float32, 0.0),
-    Layer.SHEEN: (4, np.float32, 0.0),
-    Layer.SHADOW: (3, np.float32, 1.0),
-    Layer.REAL_DEPTH: (0, np.float32, np.inf),
+# Layers of one number a pixel, and those of another number of channels than three.
+_SINGLE = {
+    Layer.COVERAGE,
+    Layer.DEPTH,
+    Layer.OBJECT_ID,
+    Layer.OCCLUSION,
+    Layer.REAL_DEPTH,
 }
+_CHANNELS = {Layer.MATERIAL: 4, Layer.COAT: 2, Layer.SHEEN: 4}
+# Values other than 0 where no stage has written: nothing virtual, no shadow.
+_FAR, _ALL = (Layer.DEPTH, Layer.REAL_DEPTH), (Layer.OCCLUSION, Layer.SHADOW)
+_VALUES = dict.fromkeys(_FAR, np.inf) | dict.fromkeys(_ALL, 1.0)
 
 
 def neutral(name: Layer, rect: Rect) -> np.ndarray:
@@ -80,11 +63,14 @@ def neutral(name: Layer, rect: Rect) -> np.ndarray:
 
     PLATE and IMAGE have no neutral value: KeyError.
     """
-    channels, dtype, value = _NEUTRAL[name]
-    shape = (rect.height, rect.width, channels)[: 3 if channels else 2]
-    return (
-        np.full(shape, value, dtype) if value else np.zeros(shape, dtype)
-    )  # zeros are several times as fast
+    if name in (Layer.PLATE, Layer.IMAGE):
+        raise KeyError(name)
+    channels = () if name in _SINGLE else (_CHANNELS.get(name, 3),)
+    kind = np.int32 if name is Layer.OBJECT_ID else np.float32
+    out = np.zeros((rect.height, rect.width, *channels), kind)
+    if value := _VALUES.get(name):  # zeros are several times as fast
+        out.fill(value)
+    return out
 
 
 def packed(array: np.ndarray) -> np.ndarray:

@@ -8,7 +8,9 @@ import numpy as np
 
 from arfx.core.codec import Document, Unbounded
 from arfx.core.numerics import normalise
+from arfx.core.sampling import sphere
 
+_EVEN = 0.28209479177387814  # the harmonic of degree 0
 # Fraction of each degree of a radiance distribution that remains in the radiance of a white
 # diffuse surface over its normal (Ramamoorthi and Hanrahan 2001, eq. 8, over pi), for the
 # nine `harmonics`.
@@ -81,15 +83,13 @@ class Light(Document):
 
     def scaled(self, factor: np.ndarray) -> Light:
         """The light times a factor (3,), one per channel."""
-        rows = (
-            np.array([self.ambient_rgb, *(li.rgb for li in self.lights), *self.soft])
-            * factor
-        )
-        ambient, *rgb = map(tuple, rows.tolist())
-        lights = tuple(
-            replace(li, rgb=c) for li, c in zip(self.lights, rgb, strict=False)
-        )
-        return Light(ambient, lights, self.source, tuple(rgb[len(lights) :]))
+
+        def times(rgb: tuple[float, float, float]) -> tuple[float, float, float]:
+            return triple(np.multiply(rgb, factor))
+
+        lights = tuple(replace(li, rgb=times(li.rgb)) for li in self.lights)
+        soft = tuple(map(times, self.soft))
+        return Light(times(self.ambient_rgb), lights, self.source, soft)
 
     def turned(self, rotation: np.ndarray) -> Light:
         """The light in other axes. rotation : (3, 3), to those from the light's."""
@@ -97,15 +97,8 @@ class Light(Document):
             replace(li, direction=triple(np.asarray(rotation) @ li.unit))
             for li in self.lights
         )
-        soft = (
-            tuple(
-                triple(row)
-                for row in turned_harmonics(np.array(self.soft, float), rotation)
-            )
-            if self.soft
-            else ()
-        )
-        return Light(self.ambient_rgb, lights, self.source, soft)
+        soft = turned_harmonics(np.array(self.soft), rotation) if self.soft else ()
+        return replace(self, lights=lights, soft=tuple(map(triple, soft)))
 
     @staticmethod
     def of_soft(
@@ -113,10 +106,10 @@ class Light(Document):
     ) -> Light:
         """A light whose ambient part is `soft` (9, 3), with its mean over all normals."""
         return Light(
-            triple(soft[0] * harmonics(np.array([0.0, 0.0, 1.0]))[0]),
+            triple(soft[0] * _EVEN),
             lights,
             source,
-            tuple(triple(row) for row in soft),
+            tuple(map(triple, soft)),
         )
 
 
@@ -127,7 +120,7 @@ def harmonics(n: np.ndarray) -> np.ndarray:
     """
     x, y, z = n[..., 0], n[..., 1], n[..., 2]
     terms = (
-        np.full(x.shape, 0.28209479177387814),
+        np.full(x.shape, _EVEN),
         0.4886025119029199 * y,
         0.4886025119029199 * z,
         0.4886025119029199 * x,
@@ -144,15 +137,9 @@ def turned_harmonics(coefficients: np.ndarray, rotation: np.ndarray) -> np.ndarr
     """(9, k) of `harmonics` in other axes; exact, as a rotation does not leave a degree.
     rotation : as in Light.turned
     """
-    k = (
-        np.arange(24) + 0.5
-    )  # a spiral of even height, by which all nine harmonics can be separated
-    z, phi = 1 - 2 * k / 24, k * np.pi * (3 - np.sqrt(5))
-    r = np.sqrt(1 - z * z)
-    directions = np.stack([r * np.cos(phi), r * np.sin(phi), z], -1)
-    return np.linalg.pinv(harmonics(directions)) @ (
-        harmonics(directions @ np.asarray(rotation)) @ coefficients
-    )
+    directions = sphere(24)  # by which all nine harmonics can be separated
+    turned = harmonics(directions @ np.asarray(rotation)) @ coefficients
+    return np.linalg.pinv(harmonics(directions)) @ turned
 
 
 def triple(v: np.ndarray) -> tuple[float, float, float]:

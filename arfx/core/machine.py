@@ -7,6 +7,7 @@ import contextlib
 import gc
 import os
 import platform
+import re
 import sys
 from collections.abc import Iterator
 from functools import cache
@@ -25,11 +26,7 @@ def usable_cores() -> int:
     try:
         quota, period = _QUOTA.read_text(encoding="ascii").split()
         return max(min(cores, round(int(quota) / int(period))), 1)
-    except (
-        OSError,
-        ValueError,
-        ZeroDivisionError,
-    ):  # no control groups here, or no limit ("max")
+    except (OSError, ValueError, ZeroDivisionError):  # no groups, or no limit ("max")
         return cores
 
 
@@ -48,16 +45,11 @@ def instructions() -> frozenset[str]:
 def _cpuinfo(name: str) -> str:
     """What Linux says of the first core; "" elsewhere."""
     try:
-        lines = (
-            Path("/proc/cpuinfo")
-            .read_text(encoding="utf-8", errors="replace")
-            .splitlines()
-        )
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
     except OSError:
         return ""
-    return next(
-        (line.partition(":")[2].strip() for line in lines if line.startswith(name)), ""
-    )
+    found = re.search(rf"^{name}\b[^:\n]*:(.*)", text, re.MULTILINE)
+    return found[1].strip() if found else ""
 
 
 def collect_seldom() -> None:
@@ -80,15 +72,11 @@ def preserve_scheduling() -> Iterator[None]:
         yield
     finally:
         raised = os.sched_getscheduler(0)
-        if raised != policy:
-            tasks = Path("/proc/self/task")
-            for thread in (
-                0,
-                *(int(task.name) for task in (tasks.iterdir() if tasks.is_dir() else ())),
-            ):  # 0 = this one
-                with contextlib.suppress(OSError):  # it has ended
-                    if os.sched_getscheduler(thread) == raised:
-                        os.sched_setscheduler(thread, policy, priority)
+        tasks = Path("/proc/self/task").glob("*") if raised != policy else ()
+        for thread in (0, *(int(task.name) for task in tasks)):  # 0 = this one
+            with contextlib.suppress(OSError):  # it has ended
+                if os.sched_getscheduler(thread) == raised != policy:
+                    os.sched_setscheduler(thread, policy, priority)
 
 
 def cache_folder() -> Path:
@@ -96,14 +84,6 @@ def cache_folder() -> Path:
     RuntimeError where the user has no home.
     """
     home = Path.home()
-    by_system = {
-        "win32": home / "AppData" / "Local",
-        "darwin": home / "Library" / "Caches",
-    }
-    return (
-        Path(
-            os.environ.get("XDG_CACHE_HOME")
-            or by_system.get(sys.platform, home / ".cache")
-        )
-        / "arfx"
-    )
+    by_system = {"win32": "AppData/Local", "darwin": "Library/Caches"}
+    usual = home / by_system.get(sys.platform, ".cache")
+    return Path(os.environ.get("XDG_CACHE_HOME") or usual) / "arfx"

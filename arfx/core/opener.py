@@ -21,26 +21,9 @@ from arfx.errors import ConfigError, InputError
 
 MIB = 1 << 20
 # kind of file, as messages call it -> largest size in MiB
-LIMITS = {
-    "clip": 1 << 24,  # read frame by frame: 16 TiB, the largest file of ext4
-    "depth": 1 << 24,  # read map by map, as a clip
-    "depth map": 256,  # 8192 x 4096 px of 32-bit float twice over
-    "model": 1024,  # millions of faces as binary arrays
-    "model part": 1024,  # buffers and textures of a model, as the model itself
-    "image": 512,  # an environment of 8192 x 4096 px of 32-bit float RGB, with room
-    "picture": 512,  # a camera's largest raw-sized TIFF
-    "pattern": 256,  # a print's picture: a page scanned at 600 dpi, uncompressed
-    # a hundred times a calibration; YAML takes seconds and 100 MB for that much
-    "camera file": 0.25,
-    "job file": 1,  # thousands of settings
-    "manifest": 64,  # a hundred thousand clips with settings of their own
-    "scene": 1,  # thousands of objects
-    "marker map": 8,  # tens of thousands of markers
-    "poses": 256,  # a million lines
-    "truth": 256,  # a hundred thousand frames of a synthetic clip
-    "report": 4096,  # facts of hours of video, about 2 kB a frame
-    "tradeoff": 64,  # every level of every stage on thousands of frames
-}
+LIMITS: dict[str, float] = tomllib.loads(
+    Path(__file__).with_name("limits.toml").read_text("utf-8")
+)
 # nesting of tables and lists in text: people write five; parsers and printers recurse
 MAX_NESTING = 64
 MAX_INTEGER = 1 << 63  # TOML's range; beyond it numbers overflow wherever they are used
@@ -116,17 +99,8 @@ def read_bytes(path: Path | str, kind: str) -> bytes:
             path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
         )
         with os.fdopen(handle, "rb") as f:
-            status = os.fstat(handle)
-            _check_status(status, path, kind)
-            data = f.read(status.st_size + 1)
-            while (
-                len(data) > status.st_size
-                and len(data) <= limit
-                and (more := f.read(MIB))
-            ):
-                data += (
-                    more  # it grows, or is one of /proc, which say that they hold nothing
-                )
+            _check_status(os.fstat(handle), path, kind)
+            data = f.read()
     except OSError as e:
         raise _unreadable(path, kind, e) from None
     if len(data) > limit:
@@ -170,9 +144,7 @@ def parse_json(text: str | bytes) -> Any:
     """Raises ValueError that says what is wrong: no JSON, nested too deep, a number out of
     range, NaN.
     """
-    return _parse(
-        lambda: json.loads(text, parse_constant=_no_constant, parse_float=_finite)
-    )
+    return _parse(lambda: json.loads(text, parse_constant=_finite, parse_float=_finite))
 
 
 def _parse(parse: Callable[[], Any]) -> Any:
@@ -206,13 +178,9 @@ def bounded(tree: Any) -> Any:
     raise ValueError(f"nested deeper than {MAX_NESTING}")
 
 
-def _no_constant(name: str) -> Any:
-    raise ValueError(f"{name} is not a number of JSON")
-
-
 def _finite(text: str) -> float:
     value = float(text)
-    if math.isinf(value):
+    if not math.isfinite(value):
         raise ValueError(f"{text[:40]} is out of range")
     return value
 
@@ -242,6 +210,10 @@ def _unreadable(path: Path, kind: str, e: OSError | ValueError) -> InputError:
     if isinstance(e, FileNotFoundError):
         return InputError(f"{kind} {path}: no such file", "check the path")
     return InputError(
-        f"{kind} {path} cannot be read: {getattr(e, 'strerror', None) or e}",
-        "check the path and its permissions",
+        f"{kind} {path} cannot be read: {why(e)}", "check the path and its permissions"
     )
+
+
+def why(e: Exception) -> str:
+    """What the system or FFmpeg says of an error."""
+    return getattr(e, "strerror", None) or str(e)

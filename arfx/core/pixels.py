@@ -10,9 +10,8 @@ import numpy as np
 
 from arfx.core.rect import Rect
 
-BAND_PX = (
-    64  # rows that are converted together; bands begin at multiples of it in the frame
-)
+# rows that are converted together; bands begin at multiples of it in the frame
+BAND_PX = 64
 
 
 def bands(rect: Rect) -> Iterator[Rect]:
@@ -58,12 +57,11 @@ class Plate:
     def part(self, rect: Rect) -> np.ndarray:
         """(h, w, 3) of a rectangle inside it, a view."""
         start = time.perf_counter()
-        for band in bands(Rect(self.rect.x0, rect.y0, self.rect.x1, rect.y1)):
-            number = band.y0 // BAND_PX
-            if number not in self._made:
-                top = number * BAND_PX
-                whole = Rect(band.x0, top, band.x1, top + BAND_PX).clip(self.rect)
-                self._read(whole, self._array[whole.slices_in(self.rect)])
-                self._made.add(number)
+        for top in range(rect.y0 // BAND_PX * BAND_PX, rect.y1, BAND_PX):
+            if top not in self._made:
+                whole = Rect(self.rect.x0, top, self.rect.x1, top + BAND_PX)
+                band = whole.clip(self.rect)
+                self._read(band, self._array[band.slices_in(self.rect)])
+                self._made.add(top)
         self.seconds += time.perf_counter() - start
         return self._array[rect.slices_in(self.rect)]

@@ -12,14 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from arfx.core.codec import Plain
 
+_CROSS = np.cross(np.eye(3), np.eye(3)[:, None])  # [k, i] = e_i x e_k
+
 
 def skew(v: np.ndarray) -> np.ndarray:
     """(..., 3) -> (..., 3, 3) with skew(a) @ b = a x b."""
-    v = np.asarray(v, float)
-    out = np.zeros((*v.shape[:-1], 3, 3))
-    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
-    return out
+    return np.tensordot(np.asarray(v, float), _CROSS, 1)
 
 
 def rotation_from_rotvec(rotvec: np.ndarray) -> np.ndarray:
@@ -34,8 +32,7 @@ def rotvec_from_rotation(rotation: np.ndarray) -> np.ndarray:
 
 def rotation_from_quaternion(q: np.ndarray) -> np.ndarray:
     """(..., 3, 3) of unit quaternions (..., 4), scalar first."""
-    k = skew(q[..., 1:])
-    return np.asarray(np.eye(3) + 2 * (q[..., :1, None] * k + k @ k))
+    return np.asarray(Rotation.from_quat(q, scalar_first=True).as_matrix())
 
 
 def rotation_from_euler_deg(x: float, y: float, z: float) -> np.ndarray:
@@ -103,10 +100,7 @@ class Pose(Plain):
         return Pose.from_rotvec(np.array(v[:3]), np.array(v[3:6]))
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Pose) and bool(
-            np.array_equal(self.rotation, other.rotation)
-            and np.array_equal(self.translation_m, other.translation_m)
-        )
+        return isinstance(other, Pose) and np.array_equal(self.matrix, other.matrix)
 
     __hash__ = None  # type: ignore[assignment]  # arrays inside; compare by value only
 

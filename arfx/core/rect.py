@@ -78,12 +78,7 @@ class Rect(Plain):
         return Rect(self.x0 + dx, self.y0 + dy, self.x1 + dx, self.y1 + dy)
 
     def contains(self, other: Rect) -> bool:
-        return other.empty or (
-            self.x0 <= other.x0
-            and self.y0 <= other.y0
-            and self.x1 >= other.x1
-            and self.y1 >= other.y1
-        )
+        return other.empty or self.clip(other) == other
 
     def align(self, step_x: int, step_y: int) -> Rect:
         """Grown outwards to multiples of a grid (chroma subsampling, tiles)."""

@@ -1,13 +1,13 @@
-"""Point sequences that fill a disc, a square or a hemisphere evenly, and axes about a normal."""
+"""Point sequences that fill a disc, a square, a hemisphere or a sphere evenly, and axes about
+a normal."""
 
 from __future__ import annotations
 
 import numpy as np
 
 GOLDEN_RAD = float(np.pi * (3 - np.sqrt(5)))
-_PLASTIC = (
-    1.32471795724474602596  # its powers give sequences of low discrepancy (Roberts 2018)
-)
+# its powers give sequences of low discrepancy (Roberts 2018)
+_PLASTIC = 1.32471795724474602596
 
 
 def disc(n: int) -> np.ndarray:
@@ -22,6 +22,16 @@ def hemisphere(n: int) -> np.ndarray:
 
     Source: Malley's method, a disc lifted to the hemisphere."""
     return np.column_stack([disc(n), np.sqrt(1 - (np.arange(n) + 0.5) / n)])
+
+
+def sphere(n: int) -> np.ndarray:
+    """(n, 3) unit directions all around, on a Fibonacci spiral.
+
+    Source: Gonzalez 2010, Measurement of areas on a sphere using Fibonacci lattices."""
+    k = np.arange(n) + 0.5
+    z, phi = 1 - 2 * k / n, k * np.pi * (3 - np.sqrt(5))
+    r = np.sqrt(1 - z * z)
+    return np.stack([r * np.cos(phi), r * np.sin(phi), z], -1)
 
 
 def r2(n: int) -> np.ndarray:

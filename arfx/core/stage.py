@@ -93,13 +93,12 @@ class Check:
     action: str
 
     def to_json(self) -> dict[str, Any]:
-        verdict, action = ("ok", "none") if self.ok else ("warn", self.action)
         return {
             "check": self.name,
             "value": self.value,
             "limit": self.limit,
-            "verdict": verdict,
-            "action": action,
+            "verdict": "ok" if self.ok else "warn",
+            "action": "none" if self.ok else self.action,
         }
 
 

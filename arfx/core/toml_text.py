@@ -70,5 +70,6 @@ def _numbered(name: KeyPath, seen: Mapping[KeyPath, int]) -> KeyPath:
     out: KeyPath = ()
     for key in name:
         out = (*out, key)
-        out = (*out, seen[out]) if out in seen else out
+        if out in seen:
+            out = (*out, seen[out])
     return out

@@ -7,6 +7,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future, wait
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -29,23 +30,18 @@ def wait_for(phase: str, work: Callable[[], T], progress: Progress) -> T:
     phase : of WAITS;  progress(phase, seconds, None) : called every second"""
     if threading.current_thread() is not threading.main_thread():
         return work()
-    made: list[T] = []
-    failed: list[BaseException] = []
-    ended = threading.Event()
+    future = Future[T]()
 
     def run() -> None:
         try:
-            made.append(work())
+            future.set_result(work())
         except BaseException as e:
-            failed.append(e)
-        ended.set()
+            future.set_exception(e)
 
     began, told = time.monotonic(), _SOON_S - 1
     threading.Thread(target=run, name=phase, daemon=True).start()
-    while not ended.wait(0.1):
+    while not wait([future], 0.1).done:
         if (seconds := int(time.monotonic() - began)) > told:
             told = seconds
             progress(phase, seconds, None)
-    if failed:
-        raise failed.pop()
-    return made.pop()
+    return future.result()

@@ -19,6 +19,7 @@ import numpy as np
 
 from arfx.core.codec import Document
 from arfx.core.colour import SRGB, Transfer
+from arfx.core.opener import why
 from arfx.errors import InputError
 from arfx.media import hdr
 from arfx.media.codecs import check_size, open_video
@@ -125,9 +126,9 @@ class ClipInfo(Document):
         """Of an interlaced clip the field that is shown first: tff (the top one) or bff;
         else empty.
         """
-        return (
-            "" if self.field_order < _FIELDS else "bff" if self.field_order % 2 else "tff"
-        )
+        if self.field_order < _FIELDS:
+            return ""
+        return "bff" if self.field_order % 2 else "tff"
 
     @property
     def orientation(self) -> Orientation:
@@ -139,10 +140,9 @@ class ClipInfo(Document):
 
         1 also where the file states what no lens or screen has.
         """
-        if self.sample_aspect is None or not _plausible(self.sample_aspect):
-            return 1.0
-        stated = float(self.sample_aspect)
-        return 1 / stated if self.orientation.transpose else stated
+        stated = self.sample_aspect or Fraction(1)
+        aspect = float(stated) if _plausible(stated) else 1.0
+        return 1 / aspect if self.orientation.transpose else aspect
 
     @property
     def layout(self) -> PixelLayout:
@@ -185,23 +185,16 @@ def _is_cover(stream: Any) -> bool:
 
 
 def _describe(stream: Any, used: bool) -> StreamInfo:
-    codec = (
-        stream.codec_context.name
-        if stream.codec_context is not None
-        else str(stream.metadata.get("handler_name", "?"))
-    )
-    cover = stream.type == "video" and _is_cover(stream)
-    broken = stream.type == "audio" and not (
-        stream.codec_context is not None and stream.codec_context.sample_rate > 0
-    )
+    context = stream.codec_context
+    named = stream.metadata.get("handler_name", "?")
     return StreamInfo(
         stream.index,
         stream.type,
-        codec,
+        str(named) if context is None else context.name,
         stream.metadata.get("language", ""),
         used,
-        cover,
-        broken,
+        stream.type == "video" and _is_cover(stream),
+        stream.type == "audio" and not (context and context.sample_rate > 0),
     )
 
 
@@ -241,14 +234,15 @@ def _first_picture(container: Any, stream: Any, path: Path) -> av.VideoFrame:
     packets = container.demux(stream)
     while True:
         try:
-            if (packet := next(packets, None)) is None:
-                break
-            for picture in packet.decode():
-                return picture
+            for packet in packets:
+                for picture in packet.decode():
+                    return picture
+            break
+        except av.error.EOFError as e:
+            reason = why(e)
+            break
         except (av.error.FFmpegError, OSError) as e:
-            reason = getattr(e, "strerror", None) or str(e)
-            if isinstance(e, av.error.EOFError):
-                break
+            reason = why(e)
     raise InputError(
         f"{path}: its video ({stream.codec_context.name}) cannot be decoded: {reason}",
         "is the file complete?",
@@ -273,15 +267,13 @@ def _info(
     if matrix is None:
         matrix = "bt709" if first.height >= 720 else "bt601"
         if layout.kind == "yuv":
-            why = (
-                "names no colour matrix"
-                if space in (0, UNSPECIFIED)
-                else f"has the unsupported colour matrix {space}"
-            )
-            notices.append(f"the stream {why}: {matrix} is used ({first.height} lines)")
+            says = f"has the unsupported colour matrix {space}"
+            if space in (0, UNSPECIFIED):
+                says = "names no colour matrix"
+            notices.append(f"the stream {says}: {matrix} is used ({first.height} lines)")
     range_tag = int(first.color_range) or int(ctx.color_range)
-    full = range_tag == 2 or first.format.name.startswith("yuvj") or layout.kind == "rgb"
-    full = full or (layout.kind == "gray" and range_tag == 0)
+    whole = {"yuv": (2,), "gray": (0, 2), "rgb": (0, 1, 2)}[layout.kind]
+    full = range_tag in whole or first.format.name.startswith("yuvj")
     turn = _display_matrix(first, beside)
     orientation, exact = orientation_of(turn)
     if not exact:
@@ -293,29 +285,21 @@ def _info(
         order = _FIELDS
     if order >= _FIELDS:
         notices.append("the clip is interlaced; its fields are processed as one picture")
-    w, h = (
-        (first.height, first.width)
-        if orientation.transpose
-        else (first.width, first.height)
-    )
+    size = first.width, first.height
+    w, h = size[::-1] if orientation.transpose else size
     sample = Fraction(stream.sample_aspect_ratio or 1)
     if sample != 1:
-        shown = f"{round(first.width * sample)}x{first.height}"
-        used = (
-            f"displayed as {shown}"
-            if _plausible(sample)
-            else "which is not plausible and not used"
-        )
+        used = "which is not plausible and not used"
+        if _plausible(sample):
+            used = f"displayed as {round(first.width * sample)}x{first.height}"
         stored = f"stored as {first.width}x{first.height}"
         notices.append(
             f"the pixels are not square: {stored}, pixel aspect"
             f" {sample.numerator}:{sample.denominator}, {used}"
         )
-    duration = (
-        stream.duration * stream.time_base
-        if stream.duration
-        else _tagged_duration(stream.metadata)
-    )
+    duration = _tagged_duration(stream.metadata)
+    if stream.duration:
+        duration = stream.duration * stream.time_base
     of_video = duration is not None or len(container.streams) == 1
     if duration is None and container.duration:
         duration = Fraction(container.duration, av.time_base)
@@ -328,8 +312,7 @@ def _info(
         path,
         w,
         h,
-        first.width,
-        first.height,
+        *size,
         orientation.rotation_deg,
         float(rate) if rate else None,
         ctx.name,
@@ -404,18 +387,15 @@ def match_by_time(
     near_s : so far from a frame it is still of the frame's time;  gap_s : longest time
     between two that tell what lies between
     """
-    after = np.searchsorted(taken_s, times_s, "right")
+    after = np.searchsorted(taken_s, times_s, "right").tolist()
     found: list[Match | None] = []
-    for t, k in zip(times_s, after.tolist(), strict=True):
+    for t, k in zip(times_s, after, strict=True):
         i, j = max(k - 1, 0), min(k, len(taken_s) - 1)
-        since, until = abs(t - taken_s[i]), abs(taken_s[j] - t)
-        near, between = (
-            bool(min(since, until) <= near_s),
-            bool(i < j and taken_s[j] - taken_s[i] <= gap_s),
-        )
-        share = float(since / (since + until)) if i < j else 0.0
-        if near and not between:
-            share = float(share > 0.5)
+        since, until = float(abs(t - taken_s[i])), float(abs(taken_s[j] - t))
+        near = min(since, until) <= near_s
+        between = i < j and bool(taken_s[j] - taken_s[i] <= gap_s)
+        share = since / (since + until) if i < j else 0.0
+        share = share if between else float(share > 0.5)
         found.append(Match(i, j, share, near) if near or between else None)
     return found
 

@@ -5,7 +5,8 @@ hold."""
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
@@ -15,7 +16,7 @@ import av
 from av.codec.codec import find_best_pix_fmt_of_list
 
 from arfx.core.machine import preserve_scheduling
-from arfx.core.opener import ffmpeg_url, regular
+from arfx.core.opener import ffmpeg_url, regular, why
 from arfx.errors import InputError
 from arfx.media.photos import is_photo, open_photo
 from arfx.media.planes import PixelLayout, layout_named
@@ -30,40 +31,6 @@ os.environ.setdefault(
 CONTAINERS = (
     "mov,matroska,webm,avi,mpegts,mpeg,flv,ogg,asf,nut,ivf,mxf,gxf,dv,wtv,yuv4mpegpipe,gif,"
     "apng,wav,h264,hevc,vvc,av1,obu,mpegvideo,m4v,mjpeg"
-)
-# Endings of files in a folder that are taken for clips; what such a file is, its content decides
-CLIP_SUFFIXES = frozenset(
-    (
-        ".mp4",
-        ".m4v",
-        ".mov",
-        ".mkv",
-        ".webm",
-        ".avi",
-        ".mts",
-        ".m2ts",
-        ".ts",
-        ".mpg",
-        ".mpeg",
-        ".vob",
-        ".wmv",
-        ".asf",
-        ".flv",
-        ".f4v",
-        ".ogv",
-        ".3gp",
-        ".3g2",
-        ".mxf",
-        ".gxf",
-        ".dv",
-        ".wtv",
-        ".nut",
-        ".ivf",
-        ".y4m",
-        ".mjpeg",
-        ".h264",
-        ".hevc",
-    )
 )
 _OPTIONS = {"format_whitelist": CONTAINERS, "protocol_whitelist": "file"}
 MAX_SIDE = 8192  # of a frame: a picture of this square in linear light takes 800 MB
@@ -83,16 +50,6 @@ _PICTURES = (
     b"8BPS",
     b"%!PS",
 )
-SUFFIX_CONTAINER = {
-    ".m4v": "mp4",
-    ".mp4": "mp4",
-    ".mkv": "matroska",
-    ".mov": "mov",
-    ".webm": "webm",
-}
-CONTAINER_SUFFIX = {
-    name: suffix for suffix, name in SUFFIX_CONTAINER.items()
-}  # the last one
 
 
 @dataclass(frozen=True)
@@ -107,7 +64,7 @@ class Codec:
 
     name: str
     encoder: str
-    containers: tuple[str, ...]
+    containers: Sequence[str] = ()
     chunk: str = ".nut"
     options: Mapping[str, str] = field(default_factory=dict)
     threads: int = 2
@@ -119,87 +76,26 @@ class Codec:
     fields: bool = True
 
     @cached_property
-    def formats(self) -> tuple[str, ...]:
+    def formats(self) -> tuple[PixelLayout, ...]:
         """Working pixel formats that its encoder takes (planar YUV, grey, RGB; without
         transparency).
         """
         if self.encoder == "prores_ks":
-            return ("yuv444p10le",)  # profile 4 is ProRes 4444
-        known = [
-            (f.name, layout_named(f.name))
-            for f in av.Codec(self.encoder, "w").video_formats or []
-        ]
-        names = [
-            n
-            for n, lay in known
-            if lay is not None and not lay.alpha and not n.startswith("yuvj")
-        ]
-        return (
-            (*names, "gbrp") if self.encoder == "ffv1" else tuple(names)
-        )  # its 8-bit RGB is bgr0: the same, interleaved
+            names = ["yuv444p10le"]  # profile 4 is ProRes 4444
+        else:
+            names = [f.name for f in av.Codec(self.encoder, "w").video_formats or []]
+        if self.encoder == "ffv1":
+            names.append("gbrp")  # its 8-bit RGB is bgr0: the same, interleaved
+        known = [f for n in names if (f := layout_named(n)) and not f.alpha]
+        return tuple(f for f in known if f.name == f.plain_name)
 
 
-# Threads are fixed: 1, 2 and 4 give three different streams, and bytes must not depend on
-# the machine. Chunks are encoded side by side, so that one each is enough; x264 spends 8 %
-# more on the same frames with two.
-CODECS = {
-    # Without macroblock trees: with them x264 (PyAV 18.1) gave up to 13 different streams
-    # in 80 encodings of the same small frames, even with one thread; without them one
-    # stream in 80, at every size tried (96x64 to 640x360).
-    "h264": Codec(
-        "h264",
-        "libx264",
-        ("mp4", "matroska", "mov"),
-        crf=18,
-        preset="veryfast",
-        options={"mbtree": "0"},
-        threads=1,
-    ),
-    "h265": Codec(
-        "h265",
-        "libx265",
-        ("mp4", "matroska", "mov"),
-        crf=20,
-        preset="veryfast",
-        options={"x265-params": "log-level=none:pools=2:frame-threads=1:info=0"},
-        fields=False,
-    ),
-    "av1": Codec(
-        "av1",
-        "libsvtav1",
-        ("mp4", "matroska", "webm"),
-        crf=28,
-        preset="8",
-        options={"svtav1-params": "lp=2"},
-        fields=False,
-    ),
-    "prores": Codec(
-        "prores",
-        "prores_ks",
-        ("mov", "matroska"),
-        chunk=".mkv",
-        full_range=False,
-        options={"profile": "4", "vendor": "apl0"},
-    ),
-    "ffv1": Codec(
-        "ffv1",
-        "ffv1",
-        ("matroska",),
-        chunk=".mkv",
-        lossless=True,
-        options={"level": "3", "slicecrc": "1", "g": "1"},
-    ),
-    "png": Codec("png", "png", (), sequence=True),
-    "exr": Codec("exr", "exr", (), sequence=True),
-}
-# other names that are understood
-ALIASES = {
-    "hevc": "h265",
-    "avc": "h264",
-    "x264": "h264",
-    "x265": "h265",
-    "prores4444": "prores",
-}
+_TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
+CODECS = {name: Codec(name, **fields) for name, fields in _TABLES["codecs"].items()}
+ALIASES: dict[str, str] = _TABLES["aliases"]
+SUFFIX_CONTAINER: dict[str, str] = _TABLES["containers"]
+CONTAINER_SUFFIX = {name: suffix for suffix, name in SUFFIX_CONTAINER.items()}
+CLIP_SUFFIXES = frozenset[str](_TABLES["clip_suffixes"])
 
 
 def open_encoder(context: Any) -> None:
@@ -218,15 +114,14 @@ def supported_codecs(container: str) -> frozenset[str]:
 
 
 def nearest_format(
-    layout: PixelLayout, codec: Codec, odd: tuple[bool, bool]
+    layout: PixelLayout, codec: Codec, odd: tuple[int, int]
 ) -> PixelLayout | None:
     """The codec's format that loses least of a source layout, as FFmpeg reckons it; None if
     none holds the picture's size.
-    odd : the coded width, height are odd"""
-    known = {name: layout_named(name) for name in codec.formats}
-    able = [n for n, f in known.items() if f and (codec.lossless or f.holds(odd))]
-    best, _ = find_best_pix_fmt_of_list(able, layout.plain_name)
-    return None if best is None else known[best.name]
+    odd : 1 where the coded width, height are odd"""
+    able = {f.name: f for f in codec.formats if codec.lossless or f.holds(odd)}
+    best, _ = find_best_pix_fmt_of_list(list(able), layout.plain_name)
+    return None if best is None else able[best.name]
 
 
 def open_video(path: Path, kind: str = "clip") -> Any:
@@ -241,14 +136,12 @@ def open_video(path: Path, kind: str = "clip") -> Any:
             ffmpeg_url(path), metadata_errors="replace", container_options=_OPTIONS
         )
     except (av.error.FFmpegError, OSError, ValueError) as e:
-        why, hint = _diagnose(path)
-        if not why and isinstance(
-            e, av.error.ArgumentError
-        ):  # the list of formats said no
-            why, hint = "it is of a format that is not read", "convert it to .mp4 or .mkv"
+        reason, hint = _diagnose(path)
+        if not reason and isinstance(e, av.error.ArgumentError):  # the list of formats
+            reason = "it is of a format that is not read"
+            hint = "convert it to .mp4 or .mkv"
         raise InputError(
-            f"{kind} {path} cannot be read as a video:"
-            f" {why or getattr(e, 'strerror', None) or e}",
+            f"{kind} {path} cannot be read as a video: {reason or why(e)}",
             hint
             or "a file that FFmpeg can decode; a recording that was cut off before its index"
             " was written may be repairable",

@@ -95,13 +95,15 @@ class Frame:
         )
         return f.orientation.upright(shown.to_ndarray())
 
-    def _coded(self, rect: Rect) -> Rect:
+    def _coded(self, rect: Rect) -> tuple[int, ...]:
         if rect.empty or not self.rect.contains(rect):
             raise RenderError(
                 f"frame {self.index}: rectangle {rect.to_json()} is not inside the picture"
                 f" {self.rect.to_json()}"
             )
-        return self.format.orientation.coded_rect(rect, self.rect.width, self.rect.height)
+        shown = self.rect
+        turn = self.format.orientation
+        return astuple(turn.coded_rect(rect, shown.width, shown.height))
 
     def linear(self, rect: Rect, out: np.ndarray | None = None) -> np.ndarray:
         """(h, w, 3) float32 linear RGB of an upright rectangle; not clipped, so slightly
@@ -112,12 +114,13 @@ class Frame:
         from arfx.media import samples  # whose compiler takes long to load
 
         f, r = self.format, self._coded(rect)
+        s = samples.samples_of(f)
         if out is None:
             out = np.empty((rect.height, rect.width, 3), np.float32)
         coded = f.orientation.coded(out)
         into = coded if coded.flags.c_contiguous else np.empty(coded.shape, np.float32)
         planes = samples.three(planes_of(self.picture, f.layout))
-        samples.read(samples.samples_of(f), planes, astuple(r), into)
+        samples.read(s, planes, r, samples.scratch_for(s, r), into)
         if into is not coded:
             coded[...] = into
         return out
@@ -145,6 +148,7 @@ class Frame:
         from arfx.media import samples
 
         f, r = self.format, self._coded(rect)
+        s = samples.samples_of(f)
         shape = (rect.height, rect.width, 3)
         if before.shape != shape or after.shape != shape:
             raise RenderError(
@@ -156,7 +160,9 @@ class Frame:
             samples.three(planes_of(p, f.layout)) for p in (self.picture, picture)
         )
         light = (packed(f.orientation.coded(x)) for x in (before, after))
-        if bad := samples.add(samples.samples_of(f), old, new, astuple(r), *light):
+        scratch = samples.scratch_for(s, r)
+        if not samples.add(s, old, new, r, *light, scratch):
+            bad = np.count_nonzero(~np.isfinite(after).all(-1))
             raise RenderError(
                 f"frame {self.index}: {bad} edited pixels in {rect.to_json()} are not"
                 " finite numbers"

@@ -12,6 +12,7 @@ from typing import Any
 import av
 import numpy as np
 
+from arfx.core.opener import why
 from arfx.errors import InputError
 from arfx.media.clip import ClipInfo
 from arfx.media.codecs import open_video
@@ -28,10 +29,8 @@ JUMP_S = 0.5
 _MOST_FAILURES = 10  # to read on, in a row
 _STRANGERS = 10  # pictures of another size in a row are no damage
 _CHUNK_HEAD = 8  # bytes before the data of an AVI file's chunk
-_TS_PACKETS = (
-    188,
-    192,
-)  # bytes of a transport stream's packet, and of one with its time of arrival
+# bytes of a transport stream's packet, and of one with its time of arrival
+_TS_PACKETS = 188, 192
 _HELD = 100  # packets of which something is lost, and that may be the last ones
 # of the usual time between frames: a packet that is nearer to a frame is part of it, as a
 # field is
@@ -86,15 +85,11 @@ class ClipReader:
         self._format = info.frame_format()
         self._threads = 1 if careful else threads
         self._seeks, self._strict = seeks and not careful, strict
-        self._by_decoding = (
-            info.container == "avi"
-        )  # which counts frames in that order, and has no other times
+        # AVI counts frames in that order, and has no other times
+        self._by_decoding = info.container == "avi"
         self._container: Any = None
         self.truncated: str | None = None
         self.damaged = self.repaired = False
-        self._stopped = ""
-        self._packets = 0
-        self._end = self._first = info.start_pts
 
     def __enter__(self) -> ClipReader:
         return self
@@ -116,8 +111,8 @@ class ClipReader:
             stream.codec_context.thread_count = self._threads
         if self._strict:
             stream.codec_context.options = {"err_detect": "explode"}
-        self._stopped, self._packets, self._end = "", 0, self.info.start_pts
-        self._first = self.info.start_pts
+        self._stopped, self._packets = "", 0
+        self._end = self._first = self.info.start_pts
         return stream
 
     def frames(
@@ -129,38 +124,34 @@ class ClipReader:
         """Frames with first_pts <= pts <= last_pts; `index` counts from first_index.
         Seeks to the key frame at or before first_pts; where seeking is not exact, decodes
         from the start."""
-        index = first_index
-        for picture, pts in self._pictures(first_pts, last_pts):
-            yield Frame(
-                repacked(picture, self._format.layout.name),
-                self._format,
-                index,
-                pts,
-                bool(picture.key_frame),
-            )
-            index += 1
+        index = itertools.count(first_index)
+        for picture, pts in self._pictures(first_pts):
+            if last_pts is not None and pts > last_pts:
+                return
+            if first_pts is None or pts >= first_pts:
+                held = repacked(picture, self._format.layout.name)
+                key = bool(picture.key_frame)
+                yield Frame(held, self._format, next(index), pts, key)
 
     def times(self) -> FrameTimes | None:
         """None where packets do not tell: a time is missing, there twice, or they go back."""
         pts, keys, decoded = list[int](), list[int](), None
         for packet in self._demux(self._open()):
-            if packet.pts is None or (self._by_decoding and packet.pts != packet.dts):
+            time, dts = packet.pts, packet.dts
+            if time is None or (self._by_decoding and time != dts):
                 return None
-            if decoded is not None and packet.dts is not None and packet.dts < decoded:
+            if decoded is not None and dts is not None and dts < decoded:
                 return None
-            decoded = packet.dts
-            if not packet.is_discard and packet.pts >= self.info.start_pts:
-                pts.append(packet.pts)
-                if packet.is_keyframe:
-                    keys.append(packet.pts)
+            decoded = dts
+            if packet.is_discard or time < self.info.start_pts:
+                continue
+            pts.append(time)
+            if packet.is_keyframe:
+                keys.append(time)
         if len(set(pts)) < len(pts):
             return None
-        return FrameTimes(
-            sorted(pts),
-            sorted(keys),
-            self._verdict(whole=True),
-            self.damaged or bool(self._stopped),
-        )
+        irregular = self.damaged or bool(self._stopped)
+        return FrameTimes(sorted(pts), sorted(keys), self._verdict(True), irregular)
 
     def shifts(self) -> list[int]:
         """What frames' times are given beside those of the file, after each place where
@@ -169,14 +160,13 @@ class ClipReader:
         found = list[int]()
         decoded, end = None, self.info.start_pts
         for packet in self._demux(self._open()):
-            if packet.dts is None or packet.pts is None:
+            pts, dts = packet.pts, packet.dts
+            if dts is None or pts is None:
                 continue
-            if decoded is not None and self._begins_anew(decoded, packet.dts):
-                found.append(end - packet.pts)
-            decoded = packet.dts
-            end = max(
-                end, packet.pts + (packet.duration or 0) + (found[-1] if found else 0)
-            )
+            if decoded is not None and self._begins_anew(decoded, dts):
+                found.append(end - pts)
+            decoded = dts
+            end = max(end, pts + (packet.duration or 0) + sum(found[-1:]))
         return found
 
     def _begins_anew(self, before: int, after: int) -> bool:
@@ -186,24 +176,16 @@ class ClipReader:
         """Whether decoding can begin at the key frame of that time, or one before it."""
         return next(self._from_key_frame(pts), None) is not None
 
-    def _pictures(
-        self, first_pts: int | None, last_pts: int | None
-    ) -> Iterator[tuple[av.VideoFrame, int]]:
+    def _pictures(self, first_pts: int | None) -> Iterator[tuple[av.VideoFrame, int]]:
+        """All from a key frame at or before first_pts on."""
         if first_pts is not None and first_pts > self.info.start_pts and self._seeks:
-            started = False
-            for item in self._from_key_frame(first_pts):
-                started = True
-                if last_pts is not None and item[1] > last_pts:
-                    return
-                yield item
-            if started:
+            found = self._from_key_frame(first_pts)
+            if (first := next(found, None)) is not None:
+                yield first
+                yield from found
                 return
-        for picture, pts in self._timed(self._decode(self._open())):
-            if last_pts is not None and pts > last_pts:
-                return
-            if first_pts is None or pts >= first_pts:
-                yield picture, pts
-        self.truncated = self._verdict(whole=True)
+        yield from self._timed(self._decode(self._open()))
+        self.truncated = self._verdict(True)
 
     def _from_key_frame(self, first_pts: int) -> Iterator[tuple[av.VideoFrame, int]]:
         """Frames from first_pts on, or nothing at all when the key frame before it cannot
@@ -215,56 +197,47 @@ class ClipReader:
             self._container.seek(first_pts, stream=stream, backward=True)
         except (av.error.FFmpegError, OSError):
             return
-        key_pts: int | None = None
-        last: int | None = None
+        begun, last = False, None
         for picture in self._decode(stream):
             if picture.pts is None or (last is not None and picture.pts <= last):
-                if key_pts is None or last is None or last < first_pts:
+                if not begun or last is None or last < first_pts:
                     return  # times need repair, which depends on every frame before
                 raise FrameTimesError(
                     f"{self.info.path}: frame times go backwards at {picture.pts}",
                     "process the clip from its start",
                 )
             last = picture.pts
-            if key_pts is None:
-                if not picture.key_frame or picture.pts > first_pts:
-                    if picture.pts >= first_pts:
-                        return
-                    # leading frames of an open group: their references lie before the key
-                    # frame
-                    continue
-                key_pts = picture.pts
-            if picture.pts >= first_pts:
-                yield picture, picture.pts
-        self.truncated = self._verdict(whole=False)
+            if not begun and not (picture.key_frame and last <= first_pts):
+                if last >= first_pts:
+                    return
+                continue  # leading frames of an open group: what they refer to lies before
+            begun = True
+            if last >= first_pts:
+                yield picture, last
+        self.truncated = self._verdict(False)
 
     def _decode(self, stream: Any) -> Iterator[av.VideoFrame]:
         """Pictures until the end; concealed ones, and those of another size, only if a good
         one follows.
         """
-        held: list[av.VideoFrame] = []
-        strange: list[av.VideoFrame] = []
+        held, strange = list[av.VideoFrame](), list[av.VideoFrame]()
+        size = self.info.coded_width, self.info.coded_height
         for picture in self._raw(stream):
-            if (
-                picture.width != self.info.coded_width
-                or picture.height != self.info.coded_height
-            ):
+            if (picture.width, picture.height) != size:
                 strange.append(picture)
                 if len(strange) == _STRANGERS:
                     break
-                continue
-            if picture.is_corrupt:
+            elif picture.is_corrupt:
                 held.append(picture)
-                continue
-            self.damaged |= bool(strange)  # a damaged header: left out
-            strange.clear()
-            yield from held
-            held.clear()
-            yield picture
+            else:
+                self.damaged |= bool(strange)  # a damaged header: left out
+                strange.clear()
+                yield from held
+                held.clear()
+                yield picture
         if strange:
             raise InputError(
-                f"{self.info.path}: the picture changes from"
-                f" {self.info.coded_width}x{self.info.coded_height} to"
+                f"{self.info.path}: the picture changes from {size[0]}x{size[1]} to"
                 f" {strange[0].width}x{strange[0].height} in the middle of the clip",
                 "split the clip there, or convert it to one size",
             )
@@ -278,29 +251,19 @@ class ClipReader:
             except av.error.EOFError:
                 return
             except (av.error.FFmpegError, OSError) as e:
-                self.damaged |= (
-                    packet is None or packet.pts is None or packet.pts >= self._first
-                )
-                if packet is None:
-                    self._stopped = (
-                        self._stopped
-                        or f"the last frame cannot be decoded: {getattr(e, 'strerror', None) or e}"
-                    )
+                time = None if packet is None else packet.pts
+                self.damaged |= time is None or time >= self._first
+                if packet is None and not self._stopped:
+                    self._stopped = f"the last frame cannot be decoded: {why(e)}"
 
     def _demux(self, stream: Any) -> Iterator[Any]:
         """Packets until the end. Damage that nothing follows is the end."""
-        held: list[Any] = []
-        stopped, late = "", 0
-        numbers = (
-            {e.pos + _CHUNK_HEAD: e.timestamp for e in stream.index_entries}
-            if self._by_decoding
-            else {}
-        )
+        held, stopped, late = list[Any](), "", 0
+        entries = stream.index_entries if self._by_decoding else ()
+        numbers = {e.pos + _CHUNK_HEAD: e.timestamp for e in entries}
         for packet in read_on(self._container, [stream]):
             if isinstance(packet, Exception):
-                stopped = (
-                    f"reading stopped: {getattr(packet, 'strerror', None) or packet}"
-                )
+                stopped = f"reading stopped: {why(packet)}"
                 continue
             held.append(packet)
             if packet.is_corrupt and len(held) < _HELD:
@@ -320,12 +283,10 @@ class ClipReader:
                 yield good
             held.clear()
         size = self.info.path.stat().st_size
-        if held or (
-            self.info.container == "mpegts"
-            and all(size % packet for packet in _TS_PACKETS)
-        ):
-            stopped = "the file ends in the middle of a frame"
-        self._stopped = stopped
+        cut = self.info.container == "mpegts" and all(size % n for n in _TS_PACKETS)
+        self._stopped = (
+            "the file ends in the middle of a frame" if held or cut else stopped
+        )
 
     def _timed(
         self, pictures: Iterator[av.VideoFrame]
@@ -339,10 +300,9 @@ class ClipReader:
         for picture in pictures:
             stated = picture.dts if self._by_decoding else picture.pts
             if last is None:
-                pts = (
-                    self.info.start_pts if self._by_decoding or stated is None else stated
-                )
-                shift = pts - (pts if stated is None else stated)
+                start = self.info.start_pts
+                pts = start if self._by_decoding or stated is None else stated
+                shift = 0 if stated is None else pts - stated
             elif stated is None:
                 pts = last + step
             else:
@@ -354,43 +314,34 @@ class ClipReader:
             yield picture, pts
 
     def _verdict(self, whole: bool) -> str | None:
-        stated = self.info.frame_count_stated
-        if self._stopped:
-            return f"{self.info.path}: {self._stopped}; processed to the last good frame"
-        length_s = float((self._end - self.info.start_pts) * self.info.time_base)
-        if (
-            self.info.duration_of_video
-            and self.info.duration_s
-            and length_s < self.info.duration_s - _SHORT_S
-        ):
-            ends = f"the file ends after {length_s:.2f} s of {self.info.duration_s:.2f} s"
-            return f"{self.info.path}: {ends}; processed to the last good frame"
-        counted = any(n in self.info.container for n in ("mp4", "mov"))
-        if whole and counted and stated and self._packets and self._packets < stated:
-            return (
-                f"{self.info.path}: {self._packets} of {stated} frames are in the file;"
-                " processed to the last good frame"
-            )
-        return None
+        info, reason = self.info, self._stopped
+        length_s = float((self._end - info.start_pts) * info.time_base)
+        stated_s = (info.duration_s or 0) if info.duration_of_video else 0
+        counted = whole and any(n in info.container for n in ("mp4", "mov"))
+        stated = (info.frame_count_stated or 0) if counted else 0
+        if not reason and length_s < stated_s - _SHORT_S:
+            reason = f"the file ends after {length_s:.2f} s of {stated_s:.2f} s"
+        if not reason and 0 < self._packets < stated:
+            reason = f"{self._packets} of {stated} frames are in the file"
+        done = f"{info.path}: {reason}; processed to the last good frame"
+        return done if reason else None
 
 
 def read_on(container: Any, streams: list[Any]) -> Iterator[Any]:
     """Packets, and, where one cannot be read, the error in its place, until nothing more
     can be read.
     """
-    failures, packets = 0, container.demux(streams)
+    failures = 0
     while failures < _MOST_FAILURES:
         try:
-            packet = next(packets, None)
-        except (av.error.FFmpegError, OSError) as e:
-            failures, packets = failures + 1, container.demux(streams)
-            yield e
-            continue
-        if packet is None:
+            for packet in container.demux(streams):
+                failures = 0
+                if packet.size:
+                    yield packet
             return
-        failures = 0
-        if packet.size:
-            yield packet
+        except (av.error.FFmpegError, OSError) as e:
+            failures += 1
+            yield e
 
 
 def missing_frames(
@@ -409,11 +360,8 @@ def missing_frames(
     for k in np.flatnonzero(steps > 2 * _APART * usual).tolist():
         first = bisect_right(stated, shown[k] + _APART * usual)
         lost = stated[first : bisect_left(stated, shown[k + 1] - _APART * usual)]
-        count = max(
-            len(lost),
-            round(steps[k] / usual) - 1 if steady and steps[k] >= 1.5 * usual else 0,
-        )
-        if count:
+        gap = round(steps[k] / usual) - 1 if steady and steps[k] >= 1.5 * usual else 0
+        if count := max(len(lost), gap):
             found.append((lost[0] if lost else round(shown[k] + usual), count))
     return found
 

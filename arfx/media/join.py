@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import av
+import numpy as np
 
 from arfx.core import interrupt
 from arfx.core.guard import TIMES, part_name
@@ -32,7 +33,7 @@ from arfx.media.codecs import create_container, open_video
 from arfx.media.frames import JUMP_S, ClipReader, read_on
 from arfx.media.output import OutputPlan
 from arfx.media.photos import write_photo
-from arfx.media.writer import failures, remove_output, set_tags
+from arfx.media.writer import abandon, failures, remove_output, set_tags
 
 _MAX_TIMESCALE = (1 << 31) - 1
 _MUXER_OWN = {
@@ -69,30 +70,30 @@ def join_chunks(
     Raises RenderError: chunks and times do not match, chunks of different settings, the
     file cannot be written. Then nothing is left under the final name that was not there
     before."""
-    out = Path(out)
+    path = out = Path(out)
     if not chunks or not pts:
         raise RenderError(f"{out}: nothing to join")
     if any(b <= a for a, b in itertools.pairwise(pts)):
         raise RenderError(f"{out}: frame times do not rise")
     if plan.is_sequence:
-        _join_folders(
-            chunks, len(pts), out, part or part_name(out.absolute().parent), made
-        )
-        return 0
+        out = out.absolute().parent
     part = part or part_name(out)
-    with failures(out, lambda: remove_output(part)):
+    left_out = 0
+    with failures(path, lambda: remove_output(part)):
         remove_output(part)
-        left_out = 0
-        if plan.container == PHOTO:
+        if plan.is_sequence:
+            _gather(chunks, len(pts), part)
+        elif plan.container == PHOTO:
             write_photo(part, chunks[0], info.path, out.suffix.lower())
         else:
-            left_out = _remux(
-                chunks, pts, _ranks_of(chunks, len(pts)), plan, info, part, start_s, end_s
-            )
+            left_out = _remux(chunks, pts, plan, info, part, start_s, end_s)
         if made is not None:
             made()
         with interrupt.committing():
-            part.replace(out)
+            if plan.is_sequence:
+                _place_folder(part, out)
+            else:
+                part.replace(out)
     return left_out
 
 
@@ -105,21 +106,20 @@ def _packets_of(chunk: Path) -> Any:
 
 def _ranks_of(chunks: Sequence[Path], count: int) -> list[int]:
     """For each packet in decoding order, the number of its frame in the clip."""
-    ranks: list[int] = []
-    extradata: bytes | None = None
+    ranks, extradata = list[int](), None
     for chunk in chunks:
         with _packets_of(chunk) as c:
             stream = c.streams.video[0]
             own = bytes(stream.codec_context.extradata or b"")
-            if extradata is not None and own != extradata:
+            if extradata not in (None, own):
                 raise RenderError(
                     f"{chunk}: encoded with other settings than the chunks before",
                     "render the job again",
                 )
             extradata = own
             shown = [p.pts for p in c.demux(stream) if p.size]
-            order = sorted(range(len(shown)), key=shown.__getitem__)
-            ranks += [len(ranks) + order.index(k) for k in range(len(shown))]
+            order = np.argsort(np.argsort(shown, kind="stable"))
+            ranks += (len(ranks) + order).tolist()
     if len(ranks) != count:
         raise RenderError(
             f"the chunks hold {len(ranks)} frames, the clip has {count}",
@@ -129,16 +129,13 @@ def _ranks_of(chunks: Sequence[Path], count: int) -> list[int]:
 
 
 def _video_packets(
-    chunks: Sequence[Path],
-    pts: Sequence[int],
-    ranks: Sequence[int],
-    time_base: Fraction,
-    stream: Any,
+    chunks: Sequence[Path], pts: Sequence[int], time_base: Fraction, stream: Any
 ) -> Iterator[tuple[Fraction, Any]]:
     """(decode time in seconds, packet).
 
     What is decoded last has the last frame's length, since MP4 and MOV end with it.
     """
+    ranks = _ranks_of(chunks, len(pts))
     i, wait = 0, max(pts[i] - pts[r] for i, r in enumerate(ranks))
     last = pts[-1] - pts[-2] if len(pts) > 1 else 0
     for chunk in chunks:
@@ -147,20 +144,17 @@ def _video_packets(
                 if not p.size:
                     continue
                 shown = ranks[i]
-                decoded = pts[i] - wait
-                p.time_base = time_base
-                p.pts, p.dts = pts[shown], decoded
+                p.time_base, p.stream = time_base, stream
+                p.pts, p.dts = pts[shown], pts[i] - wait
                 shows_to_end = len(pts) - 1 in (i, shown)
                 p.duration = last if shows_to_end else pts[shown + 1] - pts[shown]
-                p.stream = stream
-                yield decoded * time_base, p
+                yield p.dts * time_base, p
                 i += 1
 
 
 def _remux(
     chunks: Sequence[Path],
     pts: Sequence[int],
-    ranks: Sequence[int],
     plan: OutputPlan,
     info: ClipInfo,
     part: Path,
@@ -168,58 +162,38 @@ def _remux(
     end_s: float | None,
 ) -> int:
     left_out = 0
+    options = {"fflags": "+bitexact", "avoid_negative_ts": "disabled"}
     with contextlib.ExitStack() as stack:
         source = stack.enter_context(open_video(info.path))
         first = stack.enter_context(av.open(ffmpeg_url(chunks[0])))
-        options = {"fflags": "+bitexact", "avoid_negative_ts": "disabled"}
         if plan.container in ("mp4", "mov"):
-            options |= {
-                "movflags": "faststart",
-                "movie_timescale": str(_timescale(info, source, plan)),
-            }
+            scale = _timescale(info, source, plan)
+            options |= {"movflags": "faststart", "movie_timescale": str(scale)}
         out = create_container(part, plan.container, container_options=options)
-        try:
-            out.metadata.update(_plain_metadata(source.metadata))
-            streams: dict[int, Any] = {}
-            for s in source.streams:  # the source's order of streams
-                if s.index == info.stream_index:
-                    streams[s.index] = _add_video(
-                        out, first.streams.video[0], s, plan, info
-                    )
-                elif s.index in plan.streams:
-                    streams[s.index] = _add_stream(out, s, s, s.time_base)
-                    if s.type == "video":
-                        streams[s.index].codec_context.framerate = (
-                            s.average_rate or s.guessed_rate or Fraction(25)
-                        )
-            if start_s is None and end_s is None and source.chapters():
-                out.set_chapters(source.chapters())
-            video = _video_packets(
-                chunks, pts, ranks, info.time_base, streams[info.stream_index]
-            )
-            further = (
-                _copied_packets(source, info, plan, streams, start_s, end_s)
-                if plan.streams
-                else iter(())
-            )
-            # by decode time, so that the muxer never holds more than a moment of either
-            for _, packet in heapq.merge(video, further, key=lambda timed: timed[0]):
-                try:
-                    out.mux(packet)
-                except (
-                    av.error.InvalidDataError,
-                    av.error.ArgumentError,
-                ):  # damaged, and the clip did not say so
-                    if packet.stream.index == streams[info.stream_index].index:
-                        raise
-                    left_out += 1
-            out.close()
-        except BaseException:
-            with contextlib.suppress(
-                av.error.FFmpegError, OSError
-            ):  # the first error is the one that counts
-                out.close()
-            raise
+        stack.callback(abandon, out)
+        out.metadata.update(_plain_metadata(source.metadata))
+        streams: dict[int, Any] = {}
+        for s in source.streams:  # the source's order of streams
+            if s.index == info.stream_index:
+                shown = _add_video(out, first.streams.video[0], s, plan, info)
+            elif s.index in plan.streams:
+                streams[s.index] = _add_stream(out, s, s, s.time_base)
+                if s.type == "video":
+                    rate = s.average_rate or s.guessed_rate or Fraction(25)
+                    streams[s.index].codec_context.framerate = rate
+        if start_s is None and end_s is None and source.chapters():
+            out.set_chapters(source.chapters())
+        video = _video_packets(chunks, pts, info.time_base, shown)
+        further = _copied_packets(source, info, streams, start_s, end_s)
+        # by decode time, so that the muxer never holds more than a moment of either
+        for _, packet in heapq.merge(video, further, key=lambda timed: timed[0]):
+            try:
+                out.mux(packet)
+            except (av.error.InvalidDataError, av.error.ArgumentError):
+                if packet.stream.index == shown.index:
+                    raise
+                left_out += 1  # damaged, and the clip did not say so
+        out.close()
     return left_out
 
 
@@ -252,9 +226,8 @@ def _add_video(
     if info.fps:
         ctx.framerate = Fraction(info.fps).limit_denominator(1001)
     if plan.codec == "h265" and plan.container in ("mp4", "mov"):
-        ctx.codec_tag = (  # the tag that all players know; parameter sets are in the header
-            "hvc1"
-        )
+        # the tag that all players know; parameter sets are in the header
+        ctx.codec_tag = "hvc1"
     if info.display_matrix is not None:
         stream.set_display_matrix(info.display_matrix)
     return stream
@@ -263,54 +236,51 @@ def _add_video(
 def _copied_packets(
     container: Any,
     info: ClipInfo,
-    plan: OutputPlan,
     streams: Mapping[int, Any],
     start_s: float | None,
     end_s: float | None,
 ) -> Iterator[tuple[Fraction, Any]]:
-    """(decode time in seconds, packet) of the streams that the plan copies, in file order,
-    for those of the output. start_s, end_s : seconds after the clip's first frame; a packet
+    """(decode time in seconds, packet) for the streams of the output, by their numbers in
+    the clip, in file order. start_s, end_s : seconds after the clip's first frame; a packet
     that ends before or begins after them is left out. A further video stream begins at its
     last key frame before start_s, so that it can be decoded. What begins anew goes on as
     the frames do."""
+    if not streams:
+        return
     zero = info.start_pts * info.time_base
     low = -math.inf if start_s is None else zero + Fraction(start_s)
     high = math.inf if end_s is None else zero + Fraction(end_s)
     waiting: dict[int, list[Any]] = {}
     last, jumps, shifts = dict[int, Fraction](), Counter[int](), list[int]()
-    for packet in read_on(container, [container.streams[i] for i in plan.streams]):
-        if (
-            isinstance(packet, Exception)
-            or packet.is_corrupt
-            or (packet.pts is None and packet.dts is None)
-        ):
+    for packet in read_on(container, [container.streams[i] for i in streams]):
+        if isinstance(packet, Exception) or packet.is_corrupt:
             continue
-        number, at = (
-            packet.stream_index,
-            (packet.pts if packet.pts is not None else packet.dts) * packet.time_base,
-        )
-        if last.get(number, at) - at > JUMP_S:
+        stated = packet.dts if packet.pts is None else packet.pts
+        if stated is None:
+            continue
+        number, time = packet.stream_index, stated * packet.time_base
+        if last.get(number, time) - time > JUMP_S:
             jumps[number] += 1
             if not shifts:
                 with ClipReader(info) as reader:
                     shifts += reader.shifts() or [0]
-        last[number] = at
+        last[number] = time
         if jumps[number]:
             shift = shifts[min(jumps[number], len(shifts)) - 1] * info.time_base
-            ticks, at = round(shift / packet.time_base), at + shift
+            ticks, time = round(shift / packet.time_base), time + shift
             packet.pts = None if packet.pts is None else packet.pts + ticks
             packet.dts = None if packet.dts is None else packet.dts + ticks
-        if at >= high:
+        if time >= high:
             continue
-        if at + (packet.duration or 0) * packet.time_base <= low:
+        if time + (packet.duration or 0) * packet.time_base <= low:
             if packet.stream.type == "video":
                 if packet.is_keyframe:
-                    waiting[packet.stream_index] = []
-                waiting.setdefault(packet.stream_index, []).append(packet)
+                    waiting[number] = []
+                waiting.setdefault(number, []).append(packet)
             continue
-        for p in [*waiting.pop(packet.stream_index, []), packet]:
-            decoded = (p.dts if p.dts is not None else p.pts) * p.time_base
-            p.stream = streams[p.stream_index]
+        for p in [*waiting.pop(number, []), packet]:
+            decoded = (p.pts if p.dts is None else p.dts) * p.time_base
+            p.stream = streams[number]
             yield decoded, p
 
 
@@ -328,53 +298,39 @@ def _timescale(info: ClipInfo, source: Any, plan: OutputPlan) -> int:
     return scale
 
 
-def _join_folders(
-    chunks: Sequence[Path],
-    count: int,
-    out: Path,
-    part: Path,
-    made: Callable[[], None] | None,
-) -> None:
-    """The images of all chunk folders in one: out is a pattern (frames/%06d.png); its
-    folder appears at once.
-    """
-    folder = out.absolute().parent
-    with failures(out, lambda: remove_output(part)):
-        remove_output(part)
-        part.mkdir(parents=True)
-        times = []
-        for chunk in chunks:
-            for f in sorted(chunk.iterdir()):
-                if f.name == TIMES:
-                    times.append(f.read_text())
-                    continue
-                try:
-                    os.link(f, part / f.name)
-                except OSError:  # another file system, or one without links
-                    shutil.copyfile(f, part / f.name)
-        images = sum(1 for _ in part.iterdir())
-        if images != count:
-            raise RenderError(
-                f"the chunks hold {images} images, the clip has {count} frames",
-                "render the job again",
-            )
-        (part / TIMES).write_text("".join(times))
-        if made is not None:
-            made()
-        with interrupt.committing():
-            if (
-                folder.is_dir()
-                and not any(folder.iterdir())
-                and not folder.samefile(Path.cwd())
-            ):
-                folder.rmdir()
-            # an existing folder keeps its other files; each image is replaced in one step
-            if folder.exists():
-                for f in part.iterdir():
-                    f.replace(folder / f.name)
-                    f.unlink(
-                        missing_ok=True
-                    )  # two names of one file: to rename one to the other leaves both
-                part.rmdir()
-            else:
-                part.replace(folder)
+def _gather(chunks: Sequence[Path], count: int, part: Path) -> None:
+    """The images of all chunk folders in one."""
+    part.mkdir(parents=True)
+    times = []
+    for chunk in chunks:
+        for f in sorted(chunk.iterdir()):
+            if f.name == TIMES:
+                times.append(f.read_text())
+                continue
+            try:
+                os.link(f, part / f.name)
+            except OSError:  # another file system, or one without links
+                shutil.copyfile(f, part / f.name)
+    images = sum(1 for _ in part.iterdir())
+    if images != count:
+        raise RenderError(
+            f"the chunks hold {images} images, the clip has {count} frames",
+            "render the job again",
+        )
+    (part / TIMES).write_text("".join(times))
+
+
+def _place_folder(part: Path, folder: Path) -> None:
+    """A new folder appears at once. One that exists keeps its other files; each image is
+    replaced in one step."""
+    empty = folder.is_dir() and not any(folder.iterdir())
+    if empty and not folder.samefile(Path.cwd()):
+        folder.rmdir()
+    if not folder.exists():
+        part.replace(folder)
+        return
+    for f in part.iterdir():
+        f.replace(folder / f.name)
+        # two names of one file: to rename one to the other leaves both
+        f.unlink(missing_ok=True)
+    part.rmdir()

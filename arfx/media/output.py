@@ -29,7 +29,7 @@ from arfx.media.codecs import (
     supported_codecs,
 )
 from arfx.media.photos import WRITTEN
-from arfx.media.planes import layout_named
+from arfx.media.planes import PixelLayout
 
 MAX_TICKS = (1 << 31) - 1  # of a frame's time in mp4 and mov
 _PATTERN = re.compile(
@@ -60,7 +60,6 @@ class OutputPlan(Document):
     container: str
     pixel_format: str
     options: tuple[tuple[str, str], ...]
-    encoder_threads: int
     matrix: str
     full_range: bool
     matrix_tag: int = UNSPECIFIED
@@ -85,23 +84,17 @@ def plan_output(
     size that the codec has no pixel format for.
     InputError: an interlaced clip, for a codec without fields."""
     path, settings = Path(path), settings or OutputSettings()
-    container, codec = _choose(path, settings, info.hdr)
+    container, codec = choose_format(path, settings, info.hdr)
     if codec.sequence:
         return _plan_sequence(info, path, codec, settings)
     if container == PHOTO:
         if info.container != PHOTO:
             hint = "out.mp4, or images with a number in its name, for example frames/%06d.png"
             raise ConfigError(f"{path} is one picture, {info.path} is a clip", hint)
-        fmt = _pixel_format(info, codec, settings, [])
+        target = _pixel_format(info, codec, settings, [])
+        options = _options(codec, OutputSettings())
         return OutputPlan(
-            path,
-            codec.name,
-            PHOTO,
-            fmt,
-            _options(codec, OutputSettings()),
-            codec.threads,
-            info.matrix,
-            True,
+            path, codec.name, PHOTO, target.name, options, info.matrix, True
         )
     if container not in codec.containers:
         hint = "one of " + ", ".join(CONTAINER_SUFFIX[c] for c in codec.containers)
@@ -116,28 +109,23 @@ def plan_output(
         )
     notices: list[str] = []
     streams = _further_streams(info, container, codec, path, notices)
-    fmt = _pixel_format(info, codec, settings, notices)
-    target = layout_named(fmt)
-    assert target is not None
-    full = target.kind == "rgb" or (
-        info.full_range and (info.layout.kind != "rgb") and codec.full_range
-    )
-    if info.full_range and info.layout.kind != "rgb" and not full:
-        notices.append(
-            f"{codec.name} files are limited range: the full-range source is converted"
-        )
+    target = _pixel_format(info, codec, settings, notices)
+    from_rgb, to_rgb = info.layout.kind == "rgb", target.kind == "rgb"
+    full = to_rgb or (info.full_range and not from_rgb and codec.full_range)
     matrix, matrix_tag, range_tag = info.matrix, info.matrix_tag, info.range_tag
-    if info.layout.kind == "rgb" and target.kind != "rgb":
+    if from_rgb and not to_rgb:
         matrix, matrix_tag, range_tag = "bt709", 1, 1
         notices.append("the RGB source is converted to YUV (bt709, limited range)")
     elif info.full_range != full:
         range_tag = 1
+        if not full:
+            limited = "files are limited range: the full-range source is converted"
+            notices.append(f"{codec.name} {limited}")
     elif full and target.kind == "yuv":
         range_tag = 2
     if codec.name == "prores" and matrix_tag == UNSPECIFIED:
-        matrix_tag = {"bt709": 1, "bt601": 6}[
-            matrix
-        ]  # its bitstream always names one: then the one that was used
+        # its bitstream always names one: then the one that was used
+        matrix_tag = {"bt709": 1, "bt601": 6}[matrix]
     if counts := {"matroska": "Matroska", "webm": "WebM"}.get(container):
         notices.append(
             f"{counts} counts time in milliseconds: frame times are rounded to 1 ms"
@@ -150,9 +138,8 @@ def plan_output(
         path,
         codec.name,
         container,
-        fmt,
+        target.name,
         options,
-        codec.threads,
         matrix,
         full,
         matrix_tag,
@@ -164,32 +151,27 @@ def plan_output(
     )
 
 
-def check_format(path: Path, settings: OutputSettings) -> None:
-    """Raises ConfigError for an extension or a codec that does not exist, or images without
-    a number in their names.
-    """
-    _choose(path, settings)
+def choose_format(
+    path: Path, settings: OutputSettings, hdr: bool = False
+) -> tuple[str, Codec]:
+    """Container, as of OutputPlan, and codec. Raises ConfigError for an extension or a codec
+    that does not exist, or images without a number in their names.
 
-
-def _choose(path: Path, settings: OutputSettings, hdr: bool = False) -> tuple[str, Codec]:
-    """hdr : the clip is HLG or PQ, which players expect in H.265"""
-    suffix = path.suffix.lower()
-    name = settings.codec.lower() if settings.codec else None
-    name = ALIASES.get(name, name) if name else None
-    if name is not None and name not in CODECS:
+    hdr : the clip is HLG or PQ, which players expect in H.265"""
+    suffix, name = path.suffix.lower(), (settings.codec or "").lower()
+    name = ALIASES.get(name, name)
+    if name and name not in CODECS:
         raise ConfigError(
             f"unknown codec {settings.codec!r}", "one of " + ", ".join(CODECS)
         )
     if suffix in WRITTEN and not names_sequence(path):
-        if given := next(
-            (o for o in ("codec", "crf", "preset") if getattr(settings, o) is not None),
-            None,
-        ):
-            raise ConfigError(
-                f"{path}: one picture has no setting {given!r}", "leave it out"
-            )
+        for given in ("codec", "crf", "preset"):
+            if getattr(settings, given) is not None:
+                raise ConfigError(
+                    f"{path}: one picture has no setting {given!r}", "leave it out"
+                )
         return PHOTO, CODECS["ffv1"]
-    if names_sequence(path) or (name is not None and CODECS[name].sequence):
+    if names_sequence(path) or (name and CODECS[name].sequence):
         kind = name or suffix[1:]
         if kind in CODECS and not CODECS[kind].sequence:
             raise ConfigError(
@@ -207,18 +189,14 @@ def _choose(path: Path, settings: OutputSettings, hdr: bool = False) -> tuple[st
                 f"for example frames/%06d{suffix}",
             )
         return "", CODECS[kind]
-    if suffix not in SUFFIX_CONTAINER:
-        hint = (
-            "one of .mp4, .mkv, .mov, .webm, or images as frames/%06d.png or"
-            " frames/%06d.exr"
-        )
+    if (container := SUFFIX_CONTAINER.get(suffix)) is None:
         raise ConfigError(
-            f"{path}: unknown output format {suffix or '(no extension)'!r}", hint
+            f"{path}: unknown output format {suffix or '(no extension)'!r}",
+            "one of .mp4, .mkv, .mov, .webm, or images as frames/%06d.png or"
+            " frames/%06d.exr",
         )
-    container = SUFFIX_CONTAINER[suffix]
-    return container, CODECS[
-        name or ("av1" if container == "webm" else "h265" if hdr else "h264")
-    ]
+    usual = "av1" if container == "webm" else "h265" if hdr else "h264"
+    return container, CODECS[name or usual]
 
 
 def names_sequence(path: Path) -> bool:
@@ -235,33 +213,26 @@ def image_names(pattern: str) -> Callable[[str], bool]:
     around = _PATTERN.fullmatch(pattern)
     assert around is not None
     head, tail = (re.escape(text.replace("%%", "%")) for text in around.groups())
-    number = re.compile(rf"{head} *(\d+){tail}", re.IGNORECASE)
+    number = re.compile(rf"{head} *(\d{{1,99}}){tail}", re.IGNORECASE)
 
     def named(name: str) -> bool:
         found = number.fullmatch(name)
-        return (
-            found is not None
-            and len(found[1]) < 100
-            and (pattern % int(found[1])).lower() == name.lower()
-        )
+        return found is not None and (pattern % int(found[1])).lower() == name.lower()
 
     return named
 
 
 def _options(codec: Codec, settings: OutputSettings) -> tuple[tuple[str, str], ...]:
-    options = dict(codec.options)
-    crf, preset = settings.crf, settings.preset
-    for what, asked, default in (
-        ("crf", crf, codec.crf),
-        ("preset", preset, codec.preset),
-    ):
-        if default is None and asked is not None:
+    options, crf, preset = dict(codec.options), settings.crf, settings.preset
+    for what in ("crf", "preset"):
+        asked, usual = getattr(settings, what), getattr(codec, what)
+        if usual is not None:
+            value = usual if asked is None else asked
+            options[what] = value if what == "preset" else f"{value:g}"
+        elif asked is not None:
             raise ConfigError(
                 f"codec {codec.name} has no setting {what!r}", "leave it out"
             )
-        if default is not None:
-            value = default if asked is None else asked
-            options[what] = f"{value:g}" if what == "crf" else str(value)
     if crf is not None and not 0 <= crf <= 63:
         raise ConfigError(
             f"crf must be within 0 and 63, is {crf:g}",
@@ -269,12 +240,8 @@ def _options(codec: Codec, settings: OutputSettings) -> tuple[tuple[str, str], .
         )
     if preset is not None:  # the encoder alone knows its presets
         ctx: Any = av.CodecContext.create(codec.encoder, "w")
-        ctx.width, ctx.height, ctx.pix_fmt, ctx.time_base = (
-            64,
-            64,
-            codec.formats[0],
-            Fraction(1, 25),
-        )
+        ctx.width = ctx.height = 64
+        ctx.pix_fmt, ctx.time_base = codec.formats[0].name, Fraction(1, 25)
         ctx.options = dict(options)
         try:
             open_encoder(ctx)
@@ -303,116 +270,99 @@ def check_times(plan: OutputPlan, pts: Sequence[int], time_base: Fraction) -> No
 
 def _pixel_format(
     info: ClipInfo, codec: Codec, settings: OutputSettings, notices: list[str]
-) -> str:
-    formats, source = codec.formats, info.layout
-    odd = (info.coded_width % 2 == 1, info.coded_height % 2 == 1)
+) -> PixelLayout:
+    source = info.layout
+    odd = info.coded_width % 2, info.coded_height % 2
     size = f"{info.coded_width}x{info.coded_height}"
     if asked := settings.pixel_format:
-        held = layout_named(asked)
-        if held is None or held.plain_name not in formats:
+        plain = asked.replace("yuvj", "yuv")
+        held = next((f for f in codec.formats if f.name == plain), None)
+        if held is None:
             raise ConfigError(
                 f"codec {codec.name} cannot write pixel format {asked!r}",
-                "one of " + ", ".join(formats),
+                "one of " + ", ".join(f.name for f in codec.formats),
             )
         if not (codec.lossless or held.holds(odd)):
             raise ConfigError(
                 f"pixel format {asked} needs even sizes, the clip is {size}",
                 "use yuv444p",
             )
-        return held.plain_name
+        return held
     if source.alpha:
         notices.append("the clip's transparency is not written")
     target = nearest_format(source, codec, odd)
     if target is None:
-        able = [
-            n
-            for n, c in CODECS.items()
+        able = (
+            c.name
+            for c in CODECS.values()
             if c.containers and nearest_format(source, c, odd)
-        ]
+        )
         raise ConfigError(
             f"codec {codec.name} cannot write the odd picture size {size}",
             f"one of {', '.join(able)}",
         )
-    if (
-        target.kind == "yuv"
-        and source.kind == "yuv"
-        and (target.sub_x, target.sub_y) != (source.sub_x, source.sub_y)
-    ):
+    both_yuv = target.kind == source.kind == "yuv"
+    if both_yuv and target.subsampling != source.subsampling:
         too_odd = any(odd) and target.subsampling == "444"
-        why = (
-            "the picture size is odd"
-            if too_odd
-            else f"{codec.name} has no {source.subsampling}"
-        )
-        notices.append(
-            f"chroma is written as 4:{target.subsampling[1]}:{target.subsampling[2]}: {why}"
-        )
+        why = f"{codec.name} has no {source.subsampling}"
+        why = "the picture size is odd" if too_odd else why
+        written = ":".join(target.subsampling)
+        notices.append(f"chroma is written as {written}: {why}")
     if target.depth < source.depth:
         notices.append(
             f"{source.depth}-bit samples are written with {target.depth} bits: {codec.name}"
             " has no more"
         )
-    return target.name
+    return target
 
 
 def _further_streams(
     info: ClipInfo, container: str, codec: Codec, path: Path, notices: list[str]
 ) -> tuple[int, ...]:
-    kept = []
+    kept, held = [], supported_codecs(container)
     for s in info.streams:
+        copied = s.kind in ("audio", "video", "subtitle") and not s.picture
         if s.used:
             continue
         if s.broken:
             notices.append(
                 f"stream {s} is left out: it is damaged, its sample rate is not known"
             )
-        elif (
-            s.codec in supported_codecs(container)
-            and s.kind in ("audio", "video", "subtitle")
-            and not s.picture
-        ):
+        elif copied and s.codec in held:
             kept.append(s.index)
         elif s.kind == "audio":
             sound = {a.codec for a in info.audio if not a.broken}
-            able = [
+            able = " or ".join(
                 CONTAINER_SUFFIX[c]
                 for c in codec.containers
                 if sound <= supported_codecs(c)
-            ]
-            hint = (
-                f"use {' or '.join(able)}"
-                if able
-                else f"no container of {codec.name} can; use another codec, or .mkv"
             )
+            other = f"no container of {codec.name} can; use another codec, or .mkv"
             raise ConfigError(
                 f"{path}: a {path.suffix} file cannot hold the clip's audio ({s.codec})",
-                hint,
+                f"use {able}" if able else other,
             )
         else:
-            notices.append(
-                f"stream {s} is left out:"
-                f" {'a cover picture' if s.picture else path.suffix + ' files cannot hold it'}"
+            why = (
+                "a cover picture" if s.picture else f"{path.suffix} files cannot hold it"
             )
+            notices.append(f"stream {s} is left out: {why}")
     return tuple(kept)
 
 
 def _plan_sequence(
     info: ClipInfo, path: Path, codec: Codec, settings: OutputSettings
 ) -> OutputPlan:
-    if (
-        settings.crf is not None
-        or settings.preset is not None
-        or settings.pixel_format is not None
-    ):
+    if settings != OutputSettings(settings.codec):
         raise ConfigError(
             f"{codec.name} images take no crf, preset or pixel format", "leave them out"
         )
-    deep = info.bit_depth > 8
-    fmt = "gbrpf32le" if codec.name == "exr" else ("rgb48be" if deep else "rgb24")
+    fmt = "rgb48be" if info.bit_depth > 8 else "rgb24"
+    fmt = "gbrpf32le" if codec.name == "exr" else fmt
     notices = ["frame times are written to times.txt beside the images"]
     others = [str(s) for s in info.streams if not s.used]
     if others:
         notices.append(f"images hold no further streams; left out: {', '.join(others)}")
     return OutputPlan(
-        path, codec.name, "", fmt, (), 1, info.matrix, True, notices=tuple(notices)
+        path, codec.name, "", fmt, (), info.matrix, True, notices=tuple(notices)
     )

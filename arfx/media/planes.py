@@ -63,7 +63,7 @@ class PixelLayout:
         """The same planes without FFmpeg's deprecated j: the range is a tag, not a format."""
         return self.name.replace("yuvj", "yuv")
 
-    def holds(self, odd: tuple[bool, bool]) -> bool:
+    def holds(self, odd: tuple[int, int]) -> bool:
         """Whether its chroma covers a picture of odd width, height."""
         return not (odd[0] and self.sub_x) and not (odd[1] and self.sub_y)
 
@@ -115,16 +115,12 @@ def copy_picture(picture: av.VideoFrame, layout: PixelLayout) -> av.VideoFrame:
     for a, b in zip(planes_of(picture, layout), planes_of(out, layout), strict=True):
         n = min(a.shape[1], b.shape[1])
         np.copyto(b[:, :n], a[:, :n])
-    _keep_time(picture, out)
-    out.colorspace, out.color_range = picture.colorspace, picture.color_range
-    out.color_primaries, out.color_trc = picture.color_primaries, picture.color_trc
-    return out
-
-
-def _keep_time(picture: av.VideoFrame, out: av.VideoFrame) -> None:
     out.pts = picture.pts
     if picture.time_base is not None:  # pictures flushed out of a decoder have none
         out.time_base = picture.time_base
+    out.colorspace, out.color_range = picture.colorspace, picture.color_range
+    out.color_primaries, out.color_trc = picture.color_primaries, picture.color_trc
+    return out
 
 
 def repacked(picture: av.VideoFrame, name: str, **how: Any) -> av.VideoFrame:
@@ -137,14 +133,12 @@ def repacked(picture: av.VideoFrame, name: str, **how: Any) -> av.VideoFrame:
     held = layout_named(given)
     if held is not None and held.plain_name == name.replace("yuvj", "yuv"):
         return copy_picture(picture, held)
-    kept = {"src_colorspace": picture.colorspace, "dst_colorspace": picture.colorspace}
-    kept |= {
-        "src_color_range": picture.color_range,
-        "dst_color_range": picture.color_range,
-    }
-    out = picture.reformat(format=name, **(how or kept | {"interpolation": "POINT"}))
-    _keep_time(picture, out)
-    return out
+    if not how:
+        how = {"interpolation": "POINT"}
+        for end in ("src", "dst"):
+            how[f"{end}_colorspace"] = picture.colorspace
+            how[f"{end}_color_range"] = picture.color_range
+    return picture.reformat(format=name, **how)
 
 
 @dataclass(frozen=True)
@@ -178,10 +172,12 @@ class Orientation:
 
         width, height : of the upright picture, px.
         """
-        x0, x1 = (width - rect.x1, width - rect.x0) if self.flip_x else (rect.x0, rect.x1)
-        y0, y1 = (
-            (height - rect.y1, height - rect.y0) if self.flip_y else (rect.y0, rect.y1)
-        )
+        x0, x1 = rect.x0, rect.x1
+        if self.flip_x:
+            x0, x1 = width - x1, width - x0
+        y0, y1 = rect.y0, rect.y1
+        if self.flip_y:
+            y0, y1 = height - y1, height - y0
         return Rect(y0, x0, y1, x1) if self.transpose else Rect(x0, y0, x1, y1)
 
 
@@ -235,9 +231,5 @@ class FrameFormat:
         up, peak = 1 << (self.layout.depth - 8), self.layout.peak
         if self.full_range:
             return (0, peak, 0, peak), (128 * up, peak, 0, peak)
-        return (16 * up, 219 * up, 16 * up, 235 * up), (
-            128 * up,
-            224 * up,
-            16 * up,
-            240 * up,
-        )
+        luma, chroma = (16, 219, 16, 235), (128, 224, 16, 240)
+        return tuple(up * v for v in luma), tuple(up * v for v in chroma)

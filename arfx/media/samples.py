@@ -19,13 +19,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from arfx.core.colour import Transfer, yuv_from_rgb
-from arfx.core.compiled import FAST, kernel, line_kernel
+from arfx.core.compiled import FAST, line_kernel
 from arfx.media.planes import FrameFormat
 
 _F, _I, _U = np.float32, np.int32, np.uint32
 MARGIN = 16  # values by which lines of chroma are longer than the picture's part
 CODED_LEAST, CODED_MOST = -1.5, 2.5  # beyond every sum that the matrices make of samples
 DARKEST, BRIGHTEST = -32, 8  # first and last octave of linear light that is told apart
+
+Rows = tuple[tuple[np.float32, ...], ...]
 
 
 class Samples(NamedTuple):
@@ -45,9 +47,9 @@ class Samples(NamedTuple):
 
     size: tuple[int, int]
     steps: tuple[int, int]
-    levels: tuple[tuple[np.float32, ...], ...]
-    rgb_from_planes: tuple[tuple[np.float32, ...], ...]
-    planes_from_rgb: tuple[tuple[np.float32, ...], ...]
+    levels: Rows
+    rgb_from_planes: Rows
+    planes_from_rgb: Rows
     middle: tuple[np.float32, np.float32]
     taps_x: np.ndarray
     taps_y: np.ndarray
@@ -79,27 +81,6 @@ def encoding_table(transfer: Transfer, bits: int) -> np.ndarray:
 def _looked_up(table, places, out):
     for i in range(out.shape[0]):
         out[i] = table[places[i]]
-
-
-@line_kernel(fastmath=FAST)
-def _decode(line, table, scale, places):
-    """Coded values (n,) become linear light."""
-    last = _I(table.shape[0] - 1)
-    for i in range(line.shape[0]):
-        place = _I((line[i] - _F(CODED_LEAST)) * scale + _F(0.5))
-        places[i] = _U(max(min(place, last), _I(0)))
-    _looked_up(table, places, line)
-
-
-@line_kernel(fastmath=FAST)
-def _encode(bits, table, shift, places, out):
-    """out (n,) = the coded values, without their signs, of linear light's bits."""
-    last, first = _I(table.shape[0] - 1), _I((127 + DARKEST) << 23)
-    none, positive = _I(0), _I(0x7FFFFFFF)
-    for i in range(out.shape[0]):
-        place = _I(_I(_I(bits[i] & positive) - first) >> shift)
-        places[i] = _U(max(min(place, last), none))
-    _looked_up(table, places, out)
 
 
 @line_kernel(fastmath=FAST)
@@ -138,64 +119,48 @@ def _chroma_line(s, plane, level, row, left, samples, out):
 
 @line_kernel(fastmath=False)  # so sums of three products are rounded alike everywhere
 def _coded_line(s, planes, row, left, scratch, out):
-    """out (3 w,) = R'G'B' of one line from column `left` on. scratch : (3, >= w + MARGIN)"""
-    w, m, level = out.shape[0] // 3, s.rgb_from_planes, s.levels[0]
+    """out (w, 3) = R'G'B' of one line from column `left` on. scratch : lines"""
+    w, level, (red, green, blue) = out.shape[0] // 3, s.levels[0], s.rgb_from_planes
     for c in range(2):
         line = scratch[c][: w + MARGIN]
         _chroma_line(s, planes[1 + c], s.levels[1 + c], row, left, scratch[2], line)
     start = left - ((left >> s.steps[0]) << s.steps[0])
     u, v = scratch[0][start:], scratch[1][start:]
-    one, two, three = np.uintp(1), np.uintp(2), np.uintp(3)
     luma = planes[0][row][left : left + w]
+    one, two, three = np.uintp(1), np.uintp(2), np.uintp(3)
     for k in range(w):
         i, y = np.uintp(k) * three, (_F(luma[k]) - level[0]) * level[1]
-        out[i] = m[0][0] * y + m[0][1] * u[k] + m[0][2] * v[k]
-        out[i + one] = m[1][0] * y + m[1][1] * u[k] + m[1][2] * v[k]
-        out[i + two] = m[2][0] * y + m[2][1] * u[k] + m[2][2] * v[k]
-
-
-@kernel(fastmath=FAST)
-def read(s, planes, rect, out):
-    """out (h, w, 3) float32 linear RGB of coded `rect` (x0, y0, x1, y1)."""
-    w = out.shape[1]
-    places = np.empty(3 * w, np.uint32)
-    _read_lines(s, planes, rect, np.empty((3, w + MARGIN), np.float32), places, out)
+        out[i] = red[0] * y + red[1] * u[k] + red[2] * v[k]
+        out[i + one] = green[0] * y + green[1] * u[k] + green[2] * v[k]
+        out[i + two] = blue[0] * y + blue[1] * u[k] + blue[2] * v[k]
 
 
 @line_kernel(fastmath=FAST)
-def _read_lines(s, planes, rect, scratch, places, out):
+def read(s, planes, rect, scratch, out):
+    """out (h, w, 3) float32 linear RGB of coded `rect` (x0, y0, x1, y1).
+
+    scratch : of `scratch_for`"""
+    lines, places = scratch[0], scratch[1]
+    last = _I(s.decoding.shape[0] - 1)
     for j in range(out.shape[0]):
         line = out[j].reshape(-1)
-        _coded_line(s, planes, rect[1] + j, rect[0], scratch, line)
-        _decode(line, s.decoding, s.scale, places)
+        _coded_line(s, planes, rect[1] + j, rect[0], lines, line)
+        for i in range(line.shape[0]):
+            place = _I((line[i] - _F(CODED_LEAST)) * s.scale + _F(0.5))
+            places[i] = _U(max(min(place, last), _I(0)))
+        _looked_up(s.decoding, places, line)
 
 
-@kernel(fastmath=FAST)
-def add(s, planes, target, rect, before, after):
+@line_kernel(fastmath=FAST)
+def add(s, planes, target, rect, before, after, scratch):
     """Adds the difference of two pictures to stored samples.
 
     planes : as they are read;  target : copies of them, which are changed;  rect : coded
     before, after : (h, w, 3) float32 linear light; equal values change nothing
-    Only chroma samples of the rectangle, grown to their grid, can change. Returns how many
-    pixels are not finite; their lines are left alone.
-    """
-    w = rect[2] - rect[0]
-    left, top = rect[0] >> s.steps[0], rect[1] >> s.steps[1]
-    right, bottom = -(-rect[2] >> s.steps[0]), -(-rect[3] >> s.steps[1])
-    sums = np.zeros((2, bottom - top, right - left), np.float32)
-    scratch = np.empty((3, w + MARGIN), np.float32)
-    work = scratch, np.empty((2, 3 * w), np.float32), np.empty(3 * w, np.uint32)
-    bad = _add_lines(s, planes, target, rect, before, after, work, sums)
-    for c in range(2):
-        for r in range(sums.shape[1]):
-            line = target[1 + c][top + r][left:right]
-            _add_steps(line, sums[c, r], s.levels[1 + c])
-    return bad
-
-
-@line_kernel(fastmath=FAST)
-def _add_lines(s, planes, target, rect, before, after, work, sums):
-    scratch, bad = work[0], 0
+    scratch : of `scratch_for`
+    Only chroma samples of the rectangle, grown to their grid, can change. Returns whether
+    `after` is finite; else `target` is worth nothing."""
+    lines, places, values, sums = scratch
     for j in range(before.shape[0]):
         old, new = before[j].reshape(-1), after[j].reshape(-1)
         first, last = 0, old.shape[0]
@@ -207,40 +172,41 @@ def _add_lines(s, planes, target, rect, before, after, work, sums):
         if last <= first:
             continue
         old, new = old[3 * first : 3 * last], new[3 * first : 3 * last]
-        n, row, left = last - first, rect[1] + j, rect[0] + first
-        coded, wanted = work[1][0][: 3 * n], work[1][1][: 3 * n]
-        _coded_line(s, planes, row, left, scratch, coded)
-        found = _differences(s, old, new, coded, wanted, work[2])
-        bad += found
-        if not found:
-            luma = target[0][row][left : left + n]
-            _add_line(s, luma, row, left, coded, rect, scratch, sums)
-    return bad
+        row, left = rect[1] + j, rect[0] + first
+        coded, wanted = values[0][: old.shape[0]], values[1][: old.shape[0]]
+        _coded_line(s, planes, row, left, lines, coded)
+        if not _differences(s, old, new, coded, wanted, places):
+            return False
+        luma = target[0][row][left : rect[0] + last]
+        _add_line(s, luma, row, left, coded, rect, lines, sums)
+    left, top = rect[0] >> s.steps[0], rect[1] >> s.steps[1]
+    for c in range(2):
+        for r in range(sums.shape[1]):
+            _add_steps(target[1 + c][top + r][left:], sums[c, r], s.levels[1 + c])
+    return True
 
 
 @line_kernel(fastmath=FAST)
 def _differences(s, before, after, coded, wanted, places):
     """coded (3 n,), of `before`, becomes the difference to that of `after`, which is kept
-    between black and white or where it already lay beyond. Returns how many pixels of
-    `after` are not finite."""
+    between black and white or where it already lay beyond. Returns whether `after` is
+    finite. wanted, places : scratch"""
     bits = after.view(np.int32)
-    infinite, highest, bad = _I(0x7F800000), _I(0), 0  # all bits of the exponent are set
+    infinite, highest = _I(0x7F800000), _I(0)  # all bits of the exponent are set
     for i in range(bits.shape[0]):
         highest = max(highest, _I(bits[i] & infinite))
-    if highest == infinite:
-        for k in range(bits.shape[0] // 3):
-            most = _I(0)
-            for i in range(3 * k, 3 * k + 3):
-                most = max(most, _I(bits[i] & infinite))
-            bad += most == infinite
-        return bad
-    _encode(bits, s.encoding, s.shift, places, wanted)
+    last, first = _I(s.encoding.shape[0] - 1), _I((127 + DARKEST) << 23)
+    none, positive = _I(0), _I(0x7FFFFFFF)
+    for i in range(bits.shape[0]):
+        place = _I(_I(_I(bits[i] & positive) - first) >> s.shift)
+        places[i] = _U(max(min(place, last), none))
+    _looked_up(s.encoding, places, wanted)
     zero, one = _F(0), _F(1)
     for i in range(before.shape[0]):
         old, new = coded[i], wanted[i] if after[i] >= zero else -wanted[i]
         new = min(max(new, min(old, zero)), max(old, one))
         coded[i] = zero if before[i] == after[i] else new - old
-    return bad
+    return highest < infinite
 
 
 @line_kernel(fastmath=FAST)
@@ -256,35 +222,34 @@ def _add_steps(line, differences, level):
 
 @line_kernel(fastmath=FAST)
 def _add_line(s, luma, row, left, coded, rect, scratch, sums):
-    """Adds the differences `coded` (3 n,) of one line to its luma and to the sums of chroma.
+    """Adds the differences `coded` (n, 3) of one line to its luma and to the sums of chroma.
     Beyond the line they are zero, beyond the picture its edge goes on."""
-    (width, height), (sx, sy), m = s.size, s.steps, s.planes_from_rgb
-    n, groups_left, groups_top = luma.shape[0], rect[0] >> sx, rect[1] >> sy
-    first = left >> sx
-    last = min(((left + n - 1) >> sx) + 2, groups_left + sums.shape[2])
-    start = left - (first << sx) + (1 << sx) - 1  # place of the first pixel in a line
+    (width, height), (sx, sy), (to_y, to_u, to_v) = s.size, s.steps, s.planes_from_rgb
+    n, top, origin = luma.shape[0], rect[1] >> sy, rect[0] >> sx
+    start = (left & ((1 << sx) - 1)) + (1 << sx) - 1  # place of the first pixel in a line
     end = start + n
     y, u, v = scratch[0][:n], scratch[1][start:end], scratch[2][start:end]
     one, two, three = np.uintp(1), np.uintp(2), np.uintp(3)
     for k in range(n):
         i = np.uintp(k) * three
         r, g, b = coded[i], coded[i + one], coded[i + two]
-        y[k] = m[0][0] * r + m[0][1] * g + m[0][2] * b
-        u[k] = m[1][0] * r + m[1][1] * g + m[1][2] * b
-        v[k] = m[2][0] * r + m[2][1] * g + m[2][2] * b
+        y[k] = to_y[0] * r + to_y[1] * g + to_y[2] * b
+        u[k] = to_u[0] * r + to_u[1] * g + to_u[2] * b
+        v[k] = to_v[0] * r + to_v[1] * g + to_v[2] * b
     _add_steps(luma, y, s.levels[0])
     for c in range(1, 3):
         line = scratch[c]
         line[:start] = line[start] if left == 0 else _F(0)
         line[end : end + (2 << sx)] = line[end - 1] if left + n == width else _F(0)
-    for group in range(row >> sy, min((row >> sy) + 2, groups_top + sums.shape[1])):
+    first, last = (left >> sx) - origin, ((left + n - 1) >> sx) + 2 - origin
+    for group in range(row >> sy, min((row >> sy) + 2, top + sums.shape[1])):
         weight = _F(0)
         for k in range(s.taps_y.shape[0]):
             place = (group << sy) + k + 1 - (1 << sy)
             if min(max(place, 0), height - 1) == row:
                 weight += s.taps_y[k]
         for c in range(2 if weight > 0 else 0):
-            line = sums[c][group - groups_top][first - groups_left : last - groups_left]
+            line = sums[c][group - top][first:last]  # ends with the rectangle
             _add_reduced(scratch[1 + c], sx, s.taps_x, weight, line)
 
 
@@ -350,3 +315,14 @@ def samples_of(f: FrameFormat) -> Samples:
 def three(planes: list[np.ndarray]) -> Any:
     """The planes for the loops: grey three times."""
     return tuple((planes * 3)[:3])
+
+
+def scratch_for(s: Samples, rect: tuple[int, ...]) -> tuple[np.ndarray, ...]:
+    """Memory for the loops over a coded rectangle: lines of planes, places in a table and
+    values of one line; zeros (2, h, w) for the chroma samples of the rectangle, grown to
+    their grid."""
+    (x0, y0, x1, y1), (sx, sy) = rect, s.steps
+    shape = 2, -(-y1 >> sy) - (y0 >> sy), -(-x1 >> sx) - (x0 >> sx)
+    w, kind = x1 - x0, np.float32
+    lines, values = np.empty((3, w + MARGIN), kind), np.empty((2, 3 * w), kind)
+    return lines, np.empty(3 * w, np.uint32), values, np.zeros(shape, kind)

@@ -43,16 +43,15 @@ class ChunkWriter:
     fails, frames out of order, no frame at all."""
 
     def __init__(self, plan: OutputPlan, info: ClipInfo, path: Path) -> None:
-        self.plan, self.info, self.path = plan, info, Path(path)
+        self.path = Path(path)
         self.part = self.path.with_name(self.path.name + ".part")
-        self._file: _Images | _Video | None = None
         self._last: int | None = None
+        with failures(self.path, lambda: remove_output(self.part)):
+            remove_output(self.part)
+            kind = _Images if plan.is_sequence else _Video
+            self._file: _Images | _Video = kind(plan, info, self.part)
 
     def __enter__(self) -> ChunkWriter:
-        with failures(self.path, self._abandon):
-            remove_output(self.part)
-            kind = _Images if self.plan.is_sequence else _Video
-            self._file = kind(self.plan, self.info, self.part)
         return self
 
     def write(self, frame: Frame) -> None:
@@ -61,7 +60,6 @@ class ChunkWriter:
             what = f"its time {frame.pts} does not follow {self._last}"
             raise RenderError(f"frame {frame.index}: {what}")
         self._last = frame.pts
-        assert self._file is not None
         with failures(self.path, self._abandon):
             self._file.write(frame)
 
@@ -70,16 +68,14 @@ class ChunkWriter:
             self._abandon()
             return
         with failures(self.path, self._abandon):
-            if self._last is None or self._file is None:
+            if self._last is None:
                 raise RenderError(f"{self.path}: a chunk without frames")
             self._file.finish()
             remove_output(self.path)
             self.part.replace(self.path)
 
     def _abandon(self) -> None:
-        if self._file is not None:
-            with contextlib.suppress(av.error.FFmpegError, OSError):
-                self._file.close()
+        abandon(self._file)
         remove_output(self.part)
 
 
@@ -130,9 +126,9 @@ class _Video:
         s.pix_fmt = "bgr0" if packed else plan.pixel_format
         s.time_base = ctx.time_base = info.time_base
         # slice threads cost x264 half its speed
-        ctx.thread_count, ctx.thread_type = plan.encoder_threads, "FRAME"
+        ctx.thread_count, ctx.thread_type = codec.threads, "FRAME"
         set_tags(ctx, plan, info)
-        self._fields: Any = None  # marks pictures as interlaced
+        self._fields: Any = None
         if info.fields:
             ctx.flags |= Flags.interlaced_dct | Flags.interlaced_me
             self._fields = graph = av.filter.Graph()
@@ -147,13 +143,22 @@ class _Video:
         self._shift = self._muxed = 0
 
     def write(self, frame: Frame) -> None:
-        picture = self._stored(frame)
+        f, plan = frame.format, self._plan
+        picture = repacked(  # the same planes where the formats agree
+            frame.picture,
+            self._stream.pix_fmt,
+            src_colorspace=SWS_MATRIX[f.matrix],
+            dst_colorspace=SWS_MATRIX[plan.matrix],
+            src_color_range=2 if f.full_range else 1,
+            dst_color_range=2 if plan.full_range else 1,
+            interpolation="BICUBIC",
+        )
         if not self._shown:
             # no chunk container holds times below 0; joining only needs their order
             self._shift = max(-frame.pts, 0)
         self._shown.append(frame.pts + self._shift)
-        picture.pts, picture.time_base = self._shown[-1], frame.format.time_base
-        if self._fields is not None:
+        picture.pts, picture.time_base = self._shown[-1], f.time_base
+        if self._fields is not None:  # which marks it as interlaced
             self._fields.vpush(picture)
             picture = self._fields.vpull()
         picture.pict_type = 0  # the source's I/P/B would be forced on the encoder
@@ -168,21 +173,6 @@ class _Video:
             p.dts = self._shown[k] if k >= 0 else self._shown[0] + k
             self._container.mux(p)
             self._muxed += 1
-
-    def _stored(self, frame: Frame) -> av.VideoFrame:
-        """The frame's picture in the encoder's pixel format: the same planes where the
-        formats agree.
-        """
-        f, plan = frame.format, self._plan
-        return repacked(
-            frame.picture,
-            self._stream.pix_fmt,
-            src_colorspace=SWS_MATRIX[f.matrix],
-            dst_colorspace=SWS_MATRIX[plan.matrix],
-            src_color_range=2 if f.full_range else 1,
-            dst_color_range=2 if plan.full_range else 1,
-            interpolation="BICUBIC",
-        )
 
     def finish(self) -> None:
         self._mux(self._stream.encode(None))
@@ -200,6 +190,12 @@ def set_tags(context: Any, plan: OutputPlan, info: ClipInfo) -> None:
         context.field_order = info.field_order
     if info.sample_aspect is not None:
         context.sample_aspect_ratio = info.sample_aspect
+
+
+def abandon(file: Any) -> None:
+    """Close one that is whole already, or has failed: the first error is the one that counts."""
+    with contextlib.suppress(av.error.FFmpegError, OSError):
+        file.close()
 
 
 @contextlib.contextmanager

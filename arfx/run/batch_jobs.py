@@ -19,7 +19,7 @@ from arfx.core.opener import folder_entries
 from arfx.errors import ConfigError, InputError
 from arfx.media.cameras import load_camera
 from arfx.media.codecs import CLIP_SUFFIXES
-from arfx.media.output import OutputSettings, check_format, names_sequence
+from arfx.media.output import OutputSettings, choose_format, names_sequence
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import check_complete, job_model
 from arfx.run.outputs_made import OutputsMade, files_of
@@ -161,7 +161,9 @@ def check_batch(jobs: Sequence[BatchJob], kept: bool) -> None:
             )
         check_complete(job.config)
         o = job.config.output
-        check_format(job.output, OutputSettings(o.codec, o.crf, o.preset, o.pixel_format))
+        choose_format(
+            job.output, OutputSettings(o.codec, o.crf, o.preset, o.pixel_format)
+        )
     prices = load_prices()
     for config in {
         tuple(map(id, job.config.params.values())): job.config for job in jobs

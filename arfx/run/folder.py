@@ -48,7 +48,7 @@ _SEALED = (
     "plan.jsonl",
     "plan_summary.json",
 )
-_SOURCE = (".py", ".vert", ".frag")
+_SOURCE = (".py", ".toml", ".vert", ".frag")
 
 
 def _inside(name: str) -> Any:
