@@ -88,8 +88,13 @@ def jacobian(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> n
     view = np.zeros((*q.shape[:-1], 2, 3))  # of (x/z, y/z), by the point
     view[..., 0, 0] = view[..., 1, 1] = 1 / z
     view[..., 2] = -q[..., :2] / (z**2)[..., None]
-    turned = np.concatenate([-skew(q), np.broadcast_to(np.eye(3), (*q.shape, 3))], -1)
-    return seen.px_per_ideal @ view @ turned
+    return seen.px_per_ideal @ view @ lever(q)
+
+
+def lever(points: np.ndarray) -> np.ndarray:
+    """(..., 3, 6) how points (..., 3) move, by a left perturbation in their axes."""
+    straight = np.broadcast_to(np.eye(3), (*points.shape, 3))
+    return np.concatenate([-skew(points), straight], -1)
 
 
 def huber_cost(r: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -150,6 +155,12 @@ def _products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(n, i, j) sums over corners and coordinates of a (n, p, 2, i) times b (n, p, 2, j)."""
     a, b = (v.reshape(len(v), 2 * v.shape[1], v.shape[-1]) for v in (a, b))
     return np.swapaxes(a, 1, 2) @ b
+
+
+def best_of_each(owner: np.ndarray, cost: np.ndarray) -> np.ndarray:
+    """(g,) which row costs least, of each owner's, in their order. owner, cost : (n,)"""
+    order = np.lexsort((cost, owner))
+    return order[np.unique(owner[order], return_index=True)[1]]
 
 
 def apply_step(
