@@ -222,11 +222,9 @@ def look_at(position_m: np.ndarray, target_m: np.ndarray) -> Pose:
     """camera_from_room of a camera that looks from one point at another, the room's z up in
     its picture. Straight up or down, the room's y is up instead."""
     forward = normalise(np.asarray(target_m, float) - position_m)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    if (
-        np.linalg.norm(right) < 1e-6
-    ):  # looking along z to within a microradian: `up` gives no direction
-        right = np.cross(forward, [0.0, 1.0, 0.0])
+    right = np.cross(forward, _Z)
+    if np.linalg.norm(right) < 1e-6:  # along z to within a microradian: no direction
+        right = np.cross(forward, _Y)
     right = normalise(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
     return Pose(rotation, -rotation @ np.asarray(position_m, float))
@@ -236,10 +234,7 @@ def camera_from_room(
     path: CameraPath, time_s: float, duration_s: float, seed: int, name: str
 ) -> Pose:
     """Pose of the camera, `time_s` after its shot began."""
-    target, position = (
-        np.asarray(path.target_m, float),
-        np.asarray(path.position_m, float),
-    )
+    target, position = np.array([path.target_m, path.position_m], float)
     share = _share(time_s, duration_s)
     if path.kind == "orbit":
         ends = np.radians([path.azimuth_deg, path.elevation_deg])
