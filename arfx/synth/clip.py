@@ -159,7 +159,20 @@ def _fill(
     save_camera(folder / "camera.yaml", stated)
     write_model(scene.model.shape, folder / "model.glb")
     (folder / "job.toml").write_text(job_toml(scene), encoding="utf-8")
-    truth = Truth(_header(scene, world, stated), tuple(frames))
+    configured = scene.configured
+    header = {
+        "arfx_truth": 1,
+        "description": scene.description,
+        "world": configured[0].spec.key if configured else None,
+        "markers": {m.spec.key: m.spec.size_m for m in configured},
+        "camera": world.camera.to_json(),
+        "stated_camera": stated.to_json(),
+        "depth_unit_m": DEPTH_UNIT_M,
+        "flow_unit_px": FLOW_UNIT_PX,
+        "objects": {i: p.label for i, p in enumerate(scene.objects, 1)},
+        "hidden": scene.hidden.model_dump(),
+    }
+    truth = Truth(header, tuple(frames))
     write_truth(folder / "truth.jsonl", truth)
     return truth
 
@@ -240,19 +253,3 @@ def job_toml(scene: SceneFile) -> str:
             **scene.job.settings,
         }
     )
-
-
-def _header(scene: SceneFile, world: World, stated: Camera) -> dict:
-    configured = scene.configured
-    return {
-        "arfx_truth": 1,
-        "description": scene.description,
-        "world": configured[0].spec.key if configured else None,
-        "markers": {m.spec.key: m.spec.size_m for m in configured},
-        "camera": world.camera.to_json(),
-        "stated_camera": stated.to_json(),
-        "depth_unit_m": DEPTH_UNIT_M,
-        "flow_unit_px": FLOW_UNIT_PX,
-        "objects": {i: p.label for i, p in enumerate(scene.objects, 1)},
-        "hidden": scene.hidden.model_dump(),
-    }

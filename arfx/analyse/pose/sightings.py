@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from arfx.analyse.markers.corners import shared_px
 from arfx.analyse.markers.detect import Record
@@ -117,6 +118,4 @@ def _gaps(times: np.ndarray, marked: np.ndarray) -> np.ndarray:
     """(n,) s from each of times (n,), rising, to the nearest one that is marked, (n,) bool;
     infinite where none is.
     """
-    at = np.concatenate([[-np.inf], times[marked], [np.inf]])
-    after = np.clip(np.searchsorted(at, times), 1, None)
-    return np.minimum(times - at[after - 1], at[after] - times)
+    return np.asarray(cKDTree(times[marked, None]).query(times[:, None])[0])
