@@ -147,7 +147,7 @@ class Picture:
         t0, t1 = world.frame_times_s[[frame, frame + 1]].tolist()
         rays = self.rays(0.0, 0.0)
         points = np.dstack([rays, np.ones(depth.shape)]) * depth[..., None]
-        room_from_camera = world.camera_at(frame, t0).inverse()
+        _, room_from_camera = self._seen(frame)
         next_camera = world.camera_at(frame + 1, t1)
         poses = zip(world.poses(t0), world.poses(t1), strict=True)
         grid = _pixels(depth.shape)

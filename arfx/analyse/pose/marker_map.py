@@ -136,20 +136,19 @@ def _relative_pose(prints: Prints, pairs: np.ndarray) -> tuple[float, Pose]:
     if not len(pairs):
         return np.inf, Pose.identity()
     a, b = map(prints.poses.take, _evenly(pairs, _VOTERS).T)
-    a_from_camera = np.swapaxes(a.rotation, -1, -2)[:, :, None]
     apart = b.translation[:, None] - a.translation[:, :, None]
     known = a.known[:, :, None] & b.known[:, None]
+    a_from_camera = np.swapaxes(a.rotation, -1, -2)[:, :, None]
     turn = (a_from_camera @ b.rotation[:, None])[known]
     shift = (a_from_camera @ apart[..., None])[known][..., 0]
     # every solution of a, in every frame, with every candidate
     judges = _evenly(pairs, _JUDGES)
     a, seen = prints.poses.take(judges[:, 0]), prints.seen.take(judges[:, 1])
-    turned = (a.rotation[:, :, None] @ turn).reshape(-1, 3, 3)
-    moved = (a.rotation[:, :, None] @ shift[..., None])[..., 0] + a.translation[
-        :, :, None
-    ]
+    turned = a.rotation[:, :, None] @ turn
+    moved = np.einsum("nsij,kj->nski", a.rotation, shift) + a.translation[:, :, None]
     seen = seen.take(np.repeat(np.arange(len(judges)), 2 * len(turn)))
-    missed = rms_px(residuals(turned, moved.reshape(-1, 3), seen), seen.weight)
+    off = residuals(turned.reshape(-1, 3, 3), moved.reshape(-1, 3), seen)
+    missed = rms_px(off, seen.weight)
     missed = missed.reshape(len(judges), 2, len(turn))
     missed[~a.known] = np.inf
     typical = np.median(missed.min(1), axis=0)
@@ -210,9 +209,8 @@ def _adjust(
         own, missed = own.reshape(n, m, 8, 6), (r * root).reshape(n, m, 8)
         shared = np.einsum("nmai,nmaj->nimj", own, of_map).reshape(6 * n, 6 * m)
         explained = np.einsum("nmai,nma->ni", own, missed).ravel()
-        normal = (
-            block_diag(*np.einsum("nmai,nmaj->mij", of_map, of_map)) - shared.T @ shared
-        )
+        own_blocks = np.einsum("nmai,nmaj->mij", of_map, of_map)
+        normal = block_diag(*own_blocks) - shared.T @ shared
         right = np.einsum("nmai,nma->mi", of_map, missed).ravel() - shared.T @ explained
         reduced = normal[6:, 6:]  # the first marker is the world: it stays
         step = np.append(np.zeros(6), -np.linalg.solve(reduced, right[6:]))
@@ -231,9 +229,8 @@ def _adjust(
 
 def arrays(poses: Sequence[Pose]) -> tuple[np.ndarray, np.ndarray]:
     """Rotation (n, 3, 3), translation (n, 3)."""
-    return np.array([p.rotation for p in poses]), np.array(
-        [p.translation_m for p in poses]
-    )
+    turn, shift = ([p.rotation for p in poses], [p.translation_m for p in poses])
+    return np.array(turn), np.array(shift)
 
 
 def observe(prints: Prints, n: int, layout: Sequence[Pose]) -> Observed:

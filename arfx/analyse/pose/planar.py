@@ -287,8 +287,7 @@ def _refined(
     """Rotation, translation and the error in px, infinite for one out of sight."""
     rotation, translation, _ = refine_poses(rotation, translation, seen, iterations=80)
     error = rms_px(residuals(rotation, translation, seen), seen.weight)
-    seen_so = _in_sight(rotation, translation) & seen.weight.any(1)
-    error[~(seen_so & np.isfinite(error))] = np.inf
+    error[~(_in_sight(rotation, translation) & seen.weight.any(1))] = np.inf
     return [rotation, translation, error]
 
 
