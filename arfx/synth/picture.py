@@ -160,7 +160,7 @@ class Picture:
 
 def _pixels(shape: tuple[int, ...]) -> np.ndarray:
     """(h, w, 2) x and y of every pixel's centre."""
-    return np.dstack(np.indices(shape, float)[::-1])
+    return np.dstack([*np.indices(shape, float)[::-1]])
 
 
 def _spans(rays: np.ndarray) -> np.ndarray:

@@ -56,7 +56,7 @@ def texture_albedo(
         tufts = _smooth(rng, shape, max(tuft, 1), max(tuft, 1))
         mix = np.clip(0.5 * coarse + 0.5 * tufts, 0, 1)
     else:
-        mix = np.float32((np.indices(shape) // cell).sum(0) % 2)
+        mix = np.asarray((np.indices(shape) // cell).sum(0) % 2, np.float32)
     if mix.ndim == 2:
         a, b = np.array([texture.colour, texture.second], np.float32)
         mix = a + (b - a) * mix[..., None]

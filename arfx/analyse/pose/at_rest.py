@@ -10,7 +10,8 @@ Source: docs/methods/pose.md#rest."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import ClassVar, NamedTuple
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
 
 import cv2
 import numpy as np
@@ -103,7 +104,8 @@ def _contrast(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return off, np.sqrt(np.maximum(cv2.blur(off * off, window), 0))
 
 
-class FlowSample(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class FlowSample:
     """Corners that were followed. index : number of the first frame;  frames : by so many
     the second one is later
     pixel_px : of the reduced image, clip px;  here, there : (n, 2) px of the clip"""
@@ -160,7 +162,7 @@ def decide_static(
     posed = [
         s for s in samples if {s.index, s.index + s.frames} <= camera_from_world.keys()
     ]
-    shares = []
+    shares = list[Any]()
     for s in posed:
         from_, to = camera.normalised(np.stack([s.here, s.there]))
         a, b = camera_from_world[s.index], camera_from_world[s.index + s.frames]

@@ -144,7 +144,7 @@ def _density_of_shot(chain: Chain) -> np.ndarray:
     start[SHAKE], start[SIDEWAYS], start[TURN] = shot[SIDEWAYS], LEAST, LEAST
     _, other = _ascend(total, start, (SIDEWAYS, TURN, DISTANCE), 10)
     shaking, other = _ascend(total, other, (SHAKE, ROLL, SIDEWAYS, TURN), 10)
-    order = TURN, ROLL, SIDEWAYS, DISTANCE
+    order: tuple[int, ...] = TURN, ROLL, SIDEWAYS, DISTANCE
     if shaking > moving + _EARNED:
         shot, order = other, (SHAKE, ROLL, DISTANCE, SIDEWAYS, TURN)
     return _ascend(total, shot, 2 * order, 10**0.5)[1]
@@ -175,7 +175,8 @@ def smooth_poses(
         around = slice(max(first - _BESIDE, 0), end + _BESIDE)
         part, piece = seen.take(around), [a[around] for a in raw]
         if part.weight.any():
-            *piece, density = _smooth_piece(*piece[:2], part, times_s[around], strength)
+            poses = piece[0], piece[1]
+            *piece, density = _smooth_piece(*poses, part, times_s[around], strength)
             noise.append(density)
         share = (np.arange(n)[around] + 0.5 - first) / (2 * _FADE) + 0.5
         share = np.clip(share, float(not first), 1.0)

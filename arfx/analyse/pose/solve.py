@@ -149,8 +149,8 @@ def smoothed(
     rotation, translation = path.rotation.copy(), path.translation.copy()
     covariance = np.zeros((len(rotation), 6, 6))
     noise = []
-    for first, end in present:
-        at = np.arange(first, end)
+    for interval in present:
+        at = np.arange(*interval)
         on = at[path.measured[at]]
         # bridged frames start between their neighbours
         gap = at[~path.measured[at]]
@@ -158,8 +158,8 @@ def smoothed(
         a, b = on[after - 1], on[after]
         share = (times_s[gap] - times_s[a]) / (times_s[b] - times_s[a])
         poses = rotation, translation, covariance
-        ends = ([part[k] for part in poses] for k in (a, b))
-        rotation[gap], translation[gap], _ = blended(*ends, share)
+        start, end = ([part[k] for part in poses] for k in (a, b))
+        rotation[gap], translation[gap], _ = blended(start, end, share)
         part = path.observed.take(at)
         if strength > 0 and len(at) > 1:
             rotation[at], translation[at], covariance[at], learned = smooth_poses(
