@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from arfx.analyse.markers.corners import shared_px
 from arfx.analyse.markers.detect import Record
@@ -36,6 +35,8 @@ class Sightings:
     def __init__(
         self, records: Sequence[Record], markers: Sequence[Marker], camera: Camera
     ) -> None:
+        from scipy.spatial import cKDTree
+
         spec = {m.key: m for m in markers}
         number = {key: k for k, key in enumerate(spec)}
         seen = [(k, s) for k, r in enumerate(records) for s in r.detections]
