@@ -66,7 +66,7 @@ def judge(figures: dict[str, float]) -> tuple[str, tuple[str, ...]]:
 def figures(
     fitted: Fit,
     seen: Coverage,
-    focal_sd_px: float,
+    known: Uncertainty,
     projection_sd_px: np.ndarray,
     held_out_px: float,
     rejected: int,
@@ -77,7 +77,9 @@ def figures(
     projection_sd = float(np.quantile(projection_sd_px, 0.9))
     return {
         "views": len(fitted.views),
-        "focal_sd_percent": 100 * focal_sd_px / fitted.camera.fx,
+        "focal_sd_percent": 100
+        * float(max(known.standard_deviations[:2]))
+        / fitted.camera.fx,
         "tilt_max_deg": float(seen.tilt_deg.max()),
         "tilt_directions": seen.directions,
         "cells_percent": 100 * seen.cells,
@@ -135,15 +137,14 @@ def coverage(fitted: Fit) -> Coverage:
         range=((-0.5, h - 0.5), (-0.5, w - 0.5)),
     )
     normals = rotation_from_rotvec(fitted.rotations)[:, :, 2]
-    normals = np.where(
-        normals[:, 2:] <= 0, normals, -normals
-    )  # in camera coordinates, towards the camera's side
+    # in camera coordinates, towards the camera's side
+    normals = np.where(normals[:, 2:] <= 0, normals, -normals)
     tilt = np.degrees(arccos(-normals[:, 2]))
     # the normal leans away from the near edge, so the near edge lies on the opposite side
     azimuth = np.degrees(np.arctan2(-normals[:, 1], -normals[:, 0])) % 360
     quarter = ((azimuth + 45) % 360 // 90).astype(int)
-    centre = np.array([(w - 1) / 2, (h - 1) / 2])
-    radius = float(np.linalg.norm(points - centre, axis=1).max() / np.hypot(w / 2, h / 2))
+    off = points - ((w - 1) / 2, (h - 1) / 2)
+    radius = float(np.linalg.norm(off, axis=1).max() / np.hypot(w / 2, h / 2))
     return Coverage(
         counts.astype(int),
         float((counts > 0).mean()),

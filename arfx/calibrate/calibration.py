@@ -31,12 +31,8 @@ from arfx.calibrate.solve import Evidence, Fit, Uncertainty, choose_model, uncer
 from arfx.errors import InputError, NothingToDoError
 
 KEEP_VIEWS = 40  # more add little (errors fall with the root) and cost linearly
-UPSIDE_DOWN = (
-    3,
-    4,
-    7,
-    8,
-)  # EXIF's orientations of a camera held the other way up than by 1, 2, 5 and 6
+# EXIF's orientations of a camera held the other way up than by 1, 2, 5 and 6
+UPSIDE_DOWN = (3, 4, 7, 8)
 LOOKED_AT = 4  # pictures without the board that are searched for other boards
 
 
@@ -136,11 +132,9 @@ def find_board(
     seen = [(name, seen_instead(gray, spec)) for name, gray in samples]
     instead = tuple(f"{name}: {what}" for name, what in seen if what)
     if not views:
-        saw = (
-            "instead " + "; ".join(instead)
-            if instead
-            else "no other board or marker either"
-        )
+        saw = "no other board or marker either"
+        if instead:
+            saw = "instead " + "; ".join(instead)
         raise NothingToDoError(
             f"board {spec} is in none of {searched} pictures; "
             + "; ".join([saw, *notices]),
@@ -197,15 +191,12 @@ def calibrate(found: Found) -> Calibration:
     trimmed = drop_corners(again)
     chosen, table = choose_model(trimmed)
     fitted = chosen.fitted or again
-    corners_dropped = sum(len(v.ids) for v in again.views) - sum(
-        len(v.ids) for v in trimmed
-    )
+    before, after = (sum(len(v.ids) for v in some) for some in (again.views, trimmed))
     known = uncertainty(fitted)
     seen = coverage(fitted)
-    focal_sd = float(max(known.standard_deviations[:2]))
     projection = projection_uncertainty_px(fitted, known)
     measured = figures(
-        fitted, seen, focal_sd, projection, chosen.held_out_rms_px, len(rejected)
+        fitted, seen, known, projection, chosen.held_out_rms_px, len(rejected)
     )
     word, reasons = judge(measured)
     usually = float(np.mean([v.upside_down for v in fitted.views])) > 0.5
@@ -226,8 +217,8 @@ def calibrate(found: Found) -> Calibration:
             f"no board in {len(found.empty)} of {found.searched} pictures:"
             f" {_first_names(found.empty)}"
         )
-    if corners_dropped:
-        notices.append(f"{corners_dropped} corners miss by far and are left out")
+    if before > after:
+        notices.append(f"{before - after} corners miss by far and are left out")
     verdict = Verdict(word, reasons, next_picture(seen))
     return Calibration(
         fitted,
@@ -247,6 +238,5 @@ def calibrate(found: Found) -> Calibration:
 
 
 def _first_names(names: Sequence[str]) -> str:
-    return ", ".join(names[:5]) + (
-        f" and {len(names) - 5} more" if len(names) > 5 else ""
-    )
+    more = f" and {len(names) - 5} more" * (len(names) > 5)
+    return ", ".join(names[:5]) + more

@@ -85,9 +85,8 @@ def _coverage(result: Calibration) -> Figure:
         "tilt of each view, degrees, towards its near edge (dashed: too little to count)"
     )
     tilts.set_title(words, fontsize=10)
-    figure.suptitle(
-        " - ".join(["verdict: " + result.verdict.word, *result.verdict.reasons[:1]])
-    )
+    word, reasons, _ = result.verdict
+    figure.suptitle(" - ".join([f"verdict: {word}", *reasons[:1]]))
     return figure
 
 
@@ -100,5 +99,5 @@ def _picture_axes(axes: Axes, result: Calibration, title: str) -> None:
         xlabel="px",
         ylabel="px",
     )
-    axes.plot([camera.cx], [camera.cy], "k+", markersize=12)
+    axes.plot(camera.cx, camera.cy, "k+", markersize=12)
     axes.set_title(title, fontsize=10)

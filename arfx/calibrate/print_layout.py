@@ -6,6 +6,7 @@ Page coordinates: x right, y down from the upper left corner."""
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,10 +25,7 @@ from arfx.core.marker_codes import marker_cells
 from arfx.core.units import length_m
 from arfx.errors import ConfigError
 
-PAGES_MM = {
-    "a5": (148.0, 210.0), "a4": (210.0, 297.0), "a3": (297.0, 420.0), "a2": (420.0, 594.0), "a1": (594.0, 841.0),
-    "a0": (841.0, 1189.0), "letter": (215.9, 279.4), "legal": (215.9, 355.6), "tabloid": (279.4, 431.8),
-}  # fmt: skip
+PAGES_MM = tomllib.loads(Path(__file__).with_name("pages.toml").read_text("utf-8"))
 MARGIN_MM = 8.0  # what usual printers cannot print on, with room
 FOOT_MM = 16.0  # ruler and its words at the bottom
 LABEL_MM = 5.0  # line of text under each marker
@@ -36,26 +34,21 @@ MM_PER_INCH = 25.4
 LINE_MM = 0.2
 CAP_FRACTION = 0.72  # height of capitals over a font's size
 LARGEST_PX = 30000  # along one side of a PNG: 3.6 GB in memory
+# what files of an ending say without a date, so that the same sheet gives the same bytes
+UNDATED = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}, ".png": {}}
 RULER_MM = (100.0, 50.0)  # the first that fits
-
-
-class Text(NamedTuple):
-    """Middle of the baseline at (x_mm, y_mm); letters `TEXT_MM` high."""
-
-    x_mm: float
-    y_mm: float
-    words: str
 
 
 class Sheet(NamedTuple):
     """A page. black : of each print (n, 4, 2) mm, rectangles;  lines : (n, 2, 2) mm, ends of
-    thin black ones"""
+    thin black ones
+    texts : x and y of the middle of the baseline, mm, and words in letters `TEXT_MM` high"""
 
     title: str
     width_mm: float
     height_mm: float
     black: list[np.ndarray]
-    texts: list[Text]
+    texts: list[tuple[float, float, str]]
     lines: np.ndarray
 
 
@@ -75,12 +68,9 @@ def parse_targets(texts: Sequence[str]) -> list[Target]:
                     f"markers {text!r}: the range runs backwards",
                     f"{m[1]}:{last}-{first}:{m[4]}",
                 )
-            MarkerSpec.parse(
-                f"{m[1]}:{last}:{m[4]}"
-            )  # a range that is too long fails here, before it is listed
-            out += [
-                MarkerSpec.parse(f"{m[1]}:{i}:{m[4]}") for i in range(first, last + 1)
-            ]
+            # the last one first: a range that is too long fails before it is listed
+            falling = range(last, first - 1, -1)
+            out += [MarkerSpec.parse(f"{m[1]}:{i}:{m[4]}") for i in falling][::-1]
         else:
             out.append(MarkerSpec.parse(text))
     if any(isinstance(t, BoardSpec) for t in out) and len(out) > 1:
@@ -90,14 +80,14 @@ def parse_targets(texts: Sequence[str]) -> list[Target]:
     return out
 
 
-def page_mm(name: str) -> tuple[float, float]:
+def page_mm(name: str) -> Sequence[float]:
     """(width, height) of a page name or of WIDTHxHEIGHT with units, upright. Raises ConfigError."""
     if name.lower() in PAGES_MM:
         return PAGES_MM[name.lower()]
     if m := re.fullmatch(r"([\d.]+[a-z]+)x([\d.]+[a-z]+)", name.strip().lower()):
-        width, height = (1000 * length_m(g, what=f"page {name!r}") for g in m.groups())
-        if width > 0 and height > 0:
-            return width, height
+        size = [1000 * length_m(g, what=f"page {name!r}") for g in m.groups()]
+        if min(size) > 0:
+            return size
     raise ConfigError(
         f"unknown page {name!r}", f"{', '.join(PAGES_MM)}, or a size such as 300mmx400mm"
     )
@@ -189,16 +179,15 @@ def _sheet(
         middle, upper = left + (column + 0.5) * pitch_x, top + row * pitch_y + white
         x, y = middle - p.size_mm[0] / 2, upper + (h - p.size_mm[1]) / 2
         black.append(p.black + np.array((x, y)))
-        texts.append(Text(middle, upper + h + white + LABEL_MM - 1, p.words))
+        texts.append((middle, upper + h + white + LABEL_MM - 1, p.words))
     length = next((r for r in RULER_MM if r <= width - 2 * MARGIN_MM), RULER_MM[-1])
     x, y = (width - length) / 2, height - MARGIN_MM
     ticks = np.arange(0, length + 1, 10)
+    up = np.where(ticks % length == 0, 3.0, 1.5)
     lines = [[(x, y), (x + length, y)]]
-    lines += [
-        [(x + t, y - (3.0 if t in (0, length) else 1.5)), (x + t, y)] for t in ticks
-    ]
+    lines += [[(x + t, y - u), (x + t, y)] for t, u in zip(ticks, up, strict=True)]
     words = f"{length:g} mm: measure this line; print at 100 %, not 'fit to page'"
-    texts.append(Text(width / 2, y - 3.5, words))
+    texts.append((width / 2, y - 3.5, words))
     return Sheet(title, width, height, black, texts, np.array(lines))
 
 
@@ -209,7 +198,7 @@ def write_sheet(sheet: Sheet, path: Path, dpi: float = 300.0) -> None:
     The file appears by atomic rename. Raises ConfigError for other endings and for a PNG
     that is too large."""
     ending = path.suffix.lower()
-    if ending not in (".pdf", ".svg", ".png"):
+    if ending not in UNDATED:
         raise ConfigError(
             f"{path}: cannot write {ending or 'a file without ending'}",
             "a name that ends in .pdf, .svg or .png",
@@ -226,14 +215,16 @@ def write_sheet(sheet: Sheet, path: Path, dpi: float = 300.0) -> None:
     from matplotlib import rc_context
 
     figure = _figure(sheet, width, height)
-    # no date and no random names, so that the same sheet gives the same bytes
-    undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}, ".png": {}}[ending]
+    # no random names
     with (
         atomic_write(path) as part,
         rc_context({"svg.hashsalt": "arfx", "svg.fonttype": "none"}),
     ):
         figure.savefig(
-            part, format=ending[1:], dpi=dpi, metadata={"Title": sheet.title, **undated}
+            part,
+            format=ending[1:],
+            dpi=dpi,
+            metadata={"Title": sheet.title, **UNDATED[ending]},
         )
 
 
@@ -258,6 +249,6 @@ def _figure(sheet: Sheet, width_mm: float, height_mm: float) -> Any:
         clip_on=False,
     )
     size_pt = TEXT_MM / CAP_FRACTION / MM_PER_INCH * 72
-    for t in sheet.texts:
-        axes.text(t.x_mm, t.y_mm, t.words, ha="center", va="baseline", fontsize=size_pt)
+    for text in sheet.texts:
+        axes.text(*text, ha="center", va="baseline", fontsize=size_pt)
     return figure

@@ -155,10 +155,8 @@ def picture_sharpness(gray: np.ndarray) -> float:
     """Variance of the Laplacian of the picture at about 640 px width; only comparable
     between frames of one clip.
     """
-    factor = max(1, round(gray.shape[1] / 640))
-    small = cv2.resize(
-        gray, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA
-    )
+    share = 1 / max(1, round(gray.shape[1] / 640))
+    small = cv2.resize(gray, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
     return float(cv2.Laplacian(small, cv2.CV_32F).var())
 
 

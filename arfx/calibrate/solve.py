@@ -212,7 +212,7 @@ def uncertainty(fitted: Fit) -> Uncertainty:
     size = np.linalg.norm(np.concatenate(fitted.derivatives), axis=0)
     scale = divide(1.0, size, where_zero=1.0)
     js = [j * scale for j in fitted.derivatives]
-    normal = sum(j.T @ j for j in js) + np.zeros((len(scale), len(scale)))
+    normal = np.sum([j.T @ j for j in js], axis=0)
     independent = fitted.noise_px**2 * _inverse(normal)
     steps = [
         _inverse(normal - j.T @ j) @ (j.T @ r.ravel())
@@ -304,8 +304,6 @@ def one_to_one(camera: Camera) -> bool:
 
 def grid_pixels(camera: Camera, across: int, down: int) -> np.ndarray:
     """(n, 2) pixels spread evenly over the picture, borders included."""
-    x, y = (
-        np.linspace(0, camera.width - 1, across),
-        np.linspace(0, camera.height - 1, down),
-    )
-    return np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    x = np.linspace(0, camera.width - 1, across)
+    y = np.linspace(0, camera.height - 1, down)
+    return np.dstack(np.meshgrid(x, y)).reshape(-1, 2)

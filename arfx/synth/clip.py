@@ -55,7 +55,7 @@ def make_clip(
     scene: SceneFile,
     folder: Path,
     scene_folder: Path | None = None,
-    progress: Progress | None = None,
+    progress: Progress = lambda *_: None,
     overwrite: bool = False,
     truth_pictures: bool = True,
 ) -> Truth:
@@ -77,9 +77,7 @@ def make_clip(
             "name another place with -o",
         ) from None
     try:
-        truth = _fill(
-            scene, part, scene_folder, progress or (lambda *_: None), truth_pictures
-        )
+        truth = _fill(scene, part, scene_folder, progress, truth_pictures)
         if os.path.lexists(folder):
             check_replaceable(
                 folder, overwrite
@@ -161,7 +159,20 @@ def _fill(
     save_camera(folder / "camera.yaml", stated)
     write_model(scene.model.shape, folder / "model.glb")
     (folder / "job.toml").write_text(job_toml(scene), encoding="utf-8")
-    truth = Truth(_header(scene, world, stated), tuple(frames))
+    configured = scene.configured
+    header = {
+        "arfx_truth": 1,
+        "description": scene.description,
+        "world": configured[0].spec.key if configured else None,
+        "markers": {m.spec.key: m.spec.size_m for m in configured},
+        "camera": world.camera.to_json(),
+        "stated_camera": stated.to_json(),
+        "depth_unit_m": DEPTH_UNIT_M,
+        "flow_unit_px": FLOW_UNIT_PX,
+        "objects": {i: p.label for i, p in enumerate(scene.objects, 1)},
+        "hidden": scene.hidden.model_dump(),
+    }
+    truth = Truth(header, tuple(frames))
     write_truth(folder / "truth.jsonl", truth)
     return truth
 
@@ -170,7 +181,6 @@ def frame_truth(world: World, n: int) -> FrameTruth:
     """Everything that is known of a frame beside its pixels."""
     scene, time_s = world.scene, float(world.frame_times_s[n])
     room, camera_from_room = world.at(time_s), world.camera_at(n, time_s)
-    room_from_camera = camera_from_room.inverse()
     room_from_marker: dict[str, Pose] = {}
     markers: dict[str, MarkerTruth] = {}
     for placed, pose in zip(scene.objects, world.poses(time_s), strict=True):
@@ -186,9 +196,8 @@ def frame_truth(world: World, n: int) -> FrameTruth:
         inside = ((pixels >= -0.5) & (pixels + 0.5 < size)).all(-1)
         ahead = normalise(camera_from_marker.translation_m)
         facing = float(-camera_from_marker.rotation[:, 2] @ ahead)
-        depth, _ = surfaces(
-            divide(points[None, :, :2], points[:, 2:]), room_from_camera, room
-        )
+        rays = divide(points[None, :, :2], points[:, 2:])
+        depth, _ = surfaces(rays, room, camera_from_room.inverse())
         before = LIFT_M * points[:, 2] / np.linalg.norm(points, axis=1)
         seen = inside & (depth[0] >= points[:, 2] - before) & (facing > 0)
         side = float(np.linalg.norm(corners - np.roll(corners, 1, 0), axis=1).mean())
@@ -244,19 +253,3 @@ def job_toml(scene: SceneFile) -> str:
             **scene.job.settings,
         }
     )
-
-
-def _header(scene: SceneFile, world: World, stated: Camera) -> dict:
-    configured = scene.configured
-    return {
-        "arfx_truth": 1,
-        "description": scene.description,
-        "world": configured[0].spec.key if configured else None,
-        "markers": {m.spec.key: m.spec.size_m for m in configured},
-        "camera": world.camera.to_json(),
-        "stated_camera": stated.to_json(),
-        "depth_unit_m": DEPTH_UNIT_M,
-        "flow_unit_px": FLOW_UNIT_PX,
-        "objects": {i: p.label for i, p in enumerate(scene.objects, 1)},
-        "hidden": scene.hidden.model_dump(),
-    }

@@ -119,9 +119,8 @@ class ClipFile(VideoFile):
     def _put_tone(self) -> None:
         scene = self._scene
         n = int(48_000 * scene.frames / scene.clip.fps)
-        wave = (
-            0.2 * np.sin(2 * np.pi * (scene.clip.tone_hz or 0) * np.arange(n) / 48_000)
-        ).astype(np.float32)
+        turns = (scene.clip.tone_hz or 0) * np.arange(n) / 48_000
+        wave = (0.2 * np.sin(2 * np.pi * turns)).astype(np.float32)
         frame = av.AudioFrame.from_ndarray(wave[None], "fltp", "mono")
         frame.sample_rate, frame.time_base = 48_000, Fraction(1, 48_000)
         frame.pts = round(scene.clip.start_s * 48_000)

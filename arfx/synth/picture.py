@@ -32,31 +32,31 @@ class Picture:
     def __init__(self, world: World, samples: int | None = None) -> None:
         scene = world.scene
         self.world = world
+        self.shape = world.camera.height, world.camera.width
         self.side = samples or scene.samples
         if samples is None and (scene.lens.aperture_m > 0 or scene.lens.shutter_s > 0):
             self.side = max(
                 self.side, 4
             )  # fewer than 16 moments or lens points leave separate copies of an edge
-        kept = _KEEP_BYTES // (16 * world.camera.width * world.camera.height)
+        kept = _KEEP_BYTES // (16 * world.camera.rect.area)
         self.rays = lru_cache(kept)(self._rays)
 
     def _rays(self, dx: float, dy: float) -> np.ndarray:
         """(h, w, 2) camera directions at pixel centres shifted by (dx, dy) px; NaN where
         the lens maps nothing.
         """
-        y, x = np.indices((self.world.camera.height, self.world.camera.width), float)
-        return self.world.camera.normalised(np.dstack([x + dx, y + dy]))
+        return self.world.camera.normalised(np.add(_pixels(self.shape), (dx, dy)))
 
     def radiance(self, frame: int) -> np.ndarray:
         """(h, w, 3) float64 linear radiance of a frame, before exposure.
         Where neither a surface nor a shadow ends and nothing moves or blurs, one sample of
         a whole pixel stands for all."""
         scene, n = self.world.scene, self.side
-        shape, seed = (self.world.camera.height, self.world.camera.width), frame * 4096
-        out, chosen = np.zeros((*shape, 3)), np.ones(shape, bool)
+        seed = frame * 4096
+        out, chosen = np.zeros((*self.shape, 3)), np.ones(self.shape, bool)
         if n == 1 or not (scene.lens.shutter_s or scene.lens.aperture_m):
             light, number = self._sample(frame, 0.0, (0.0, 0.0), chosen, 1.0, seed)
-            out, met = light.reshape(out.shape), number.reshape(shape)
+            out, met = light.reshape(out.shape), number.reshape(self.shape)
             box = np.ones((3, 3), np.uint8)
             differs = cv2.morphologyEx(met, cv2.MORPH_GRADIENT, box) > 0
             chosen = ((met == 0) | differs) & (n > 1)
@@ -66,9 +66,8 @@ class Picture:
         for k in range(n * n) if chosen.any() else ():
             place = (k % n + 0.5) / n - 0.5, (k // n + 0.5) / n - 0.5
             late = scene.lens.shutter_s * ((order[k] + 0.5) / (n * n) - 0.5)
-            out[chosen] += (
-                self._sample(frame, late, place, chosen, 1 / n, seed + k)[0] / n**2
-            )
+            light, _ = self._sample(frame, late, place, chosen, 1 / n, seed + k)
+            out[chosen] += light / n**2
         if (sigma := scene.lens.softness_px) > 0:
             size = (2 * int(np.ceil(4 * sigma)) + 1,) * 2
             cv2.GaussianBlur(out, size, sigma, out, borderType=cv2.BORDER_REPLICATE)
@@ -136,8 +135,7 @@ class Picture:
         """(depth (h, w) m along the axis, object number (h, w) uint8) at pixel centres and
         the frame's own time; 0 = nothing.
         """
-        room, pose = self._seen(frame)
-        return surfaces(self.rays(0.0, 0.0), pose, room)
+        return surfaces(self.rays(0.0, 0.0), *self._seen(frame))
 
     def flow(self, frame: int, depth: np.ndarray, owner: np.ndarray) -> np.ndarray:
         """(h, w, 2) float64 motion of each pixel's surface point to the next frame, px.
@@ -149,16 +147,20 @@ class Picture:
         t0, t1 = world.frame_times_s[[frame, frame + 1]].tolist()
         rays = self.rays(0.0, 0.0)
         points = np.dstack([rays, np.ones(depth.shape)]) * depth[..., None]
-        room_from_camera = world.camera_at(frame, t0).inverse()
+        _, room_from_camera = self._seen(frame)
         next_camera = world.camera_at(frame + 1, t1)
         poses = zip(world.poses(t0), world.poses(t1), strict=True)
-        y, x = np.indices(depth.shape)
-        grid = np.dstack([x, y])
+        grid = _pixels(depth.shape)
         for number, (before, after) in enumerate(poses, 1):
             here = owner == number
             move = next_camera @ after @ before.inverse() @ room_from_camera
             out[here] = world.camera.project(move.apply(points[here])) - grid[here]
         return out
+
+
+def _pixels(shape: tuple[int, ...]) -> np.ndarray:
+    """(h, w, 2) x and y of every pixel's centre."""
+    return np.dstack([*np.indices(shape, float)[::-1]])
 
 
 def _spans(rays: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ left half holds +y."""
 
 from __future__ import annotations
 
+import tomllib
 import zlib
 from pathlib import Path
 
@@ -19,6 +20,8 @@ from arfx.core.numerics import direction_of, normalise
 from arfx.errors import InputError
 from arfx.media.images import decode_picture
 from arfx.synth.description import Marker, Texture
+
+_ROOMS = tomllib.loads(Path(__file__).with_name("rooms.toml").read_text("utf-8"))
 
 
 def texture_albedo(
@@ -41,14 +44,19 @@ def texture_albedo(
     rng = np.random.default_rng([seed, zlib.crc32(texture.kind.encode())])
     texel = max(max(size_m) / 1024, texture.feature_m / 6)
     w, h = (max(round(side / texel), 2) for side in size_m)
-    make = {
-        "wood": _wood,
-        "carpet": _carpet,
-        "noise": _noise,
-        "checker": _checker,
-        "poster": _posters,
-    }[texture.kind]
-    mix = make(rng, h, w, texture.feature_m / texel)
+    shape, cell, tuft = (h, w), texture.feature_m / texel, texture.feature_m / texel / 2
+    if texture.kind == "wood":
+        mix = _wood(rng, shape, cell)
+    elif texture.kind == "poster":
+        mix = _posters(rng, shape, cell)
+    elif texture.kind == "noise":
+        mix = _octaves(rng, shape, cell * 2, cell * 2)
+    elif texture.kind == "carpet":
+        coarse = _octaves(rng, shape, cell * 4, cell * 4, 3)
+        tufts = _smooth(rng, shape, max(tuft, 1), max(tuft, 1))
+        mix = np.clip(0.5 * coarse + 0.5 * tufts, 0, 1)
+    else:
+        mix = np.asarray((np.indices(shape) // cell).sum(0) % 2, np.float32)
     if mix.ndim == 2:
         a, b = np.array([texture.colour, texture.second], np.float32)
         mix = a + (b - a) * mix[..., None]
@@ -56,9 +64,10 @@ def texture_albedo(
 
 
 def _smooth(
-    rng: np.random.Generator, h: int, w: int, cell_y: float, cell_x: float
+    rng: np.random.Generator, shape: tuple[int, int], cell_y: float, cell_x: float
 ) -> np.ndarray:
     """Value noise 0..1 with features of that many texels."""
+    h, w = shape
     grid = rng.random(
         (max(int(h / cell_y) + 2, 2), max(int(w / cell_x) + 2, 2)), np.float32
     )
@@ -66,40 +75,33 @@ def _smooth(
 
 
 def _octaves(
-    rng: np.random.Generator, h: int, w: int, cell_y: float, cell_x: float, count: int = 4
+    rng: np.random.Generator,
+    shape: tuple[int, int],
+    cell_y: float,
+    cell_x: float,
+    count: int = 4,
 ) -> np.ndarray:
-    total = np.zeros((h, w), np.float32)
+    total = np.zeros(shape, np.float32)
     for k in range(count):
-        total += _smooth(rng, h, w, max(cell_y / 2**k, 1), max(cell_x / 2**k, 1)) * 0.6**k
+        total += (
+            _smooth(rng, shape, max(cell_y / 2**k, 1), max(cell_x / 2**k, 1)) * 0.6**k
+        )
     spread = (total - total.mean()) / max(float(total.std()), 1e-6)
     return np.clip(0.5 + 0.25 * spread, 0, 1)
 
 
-def _noise(rng: np.random.Generator, h: int, w: int, cell: float) -> np.ndarray:
-    return _octaves(rng, h, w, cell * 2, cell * 2)
-
-
-def _carpet(rng: np.random.Generator, h: int, w: int, cell: float) -> np.ndarray:
-    coarse = _octaves(rng, h, w, cell * 4, cell * 4, 3)
-    tufts = _smooth(rng, h, w, max(cell / 2, 1), max(cell / 2, 1))
-    return np.clip(0.5 * coarse + 0.5 * tufts, 0, 1)
-
-
-def _checker(rng: np.random.Generator, h: int, w: int, cell: float) -> np.ndarray:
-    y, x = np.indices((h, w))
-    return ((x // cell + y // cell) % 2).astype(np.float32)
-
-
-def _wood(rng: np.random.Generator, h: int, w: int, cell: float) -> np.ndarray:
+def _wood(rng: np.random.Generator, shape: tuple[int, int], cell: float) -> np.ndarray:
     """Boards along x: grain stretched along the board, another tone and shift for each,
     dark joints.
     """
+    h, w = shape
     board = max(cell * 5, 4)
     number = (np.arange(h, dtype=np.float32) / board).astype(int)
-    wave = _octaves(rng, h, w, cell, cell * 12, 4)
-    fine = _smooth(rng, h, w, max(cell / 5, 1), cell * 3)
-    tone = rng.random(int(h / board) + 2).astype(np.float32)[number]
-    shift = rng.integers(0, w, int(h / board) + 2)[number]
+    wave = _octaves(rng, shape, cell, cell * 12)
+    fine = _smooth(rng, shape, max(cell / 5, 1), cell * 3)
+    boards = int(h / board) + 2
+    tone = rng.random(boards).astype(np.float32)[number]
+    shift = rng.integers(0, w, boards)[number]
     along = (np.arange(w) - shift[:, None]) % w
     grain = np.take_along_axis(0.55 * wave + 0.25 * fine, along, 1) + 0.3 * tone[:, None]
     grain[1:][np.diff(number) > 0] *= 0.35
@@ -107,12 +109,12 @@ def _wood(rng: np.random.Generator, h: int, w: int, cell: float) -> np.ndarray:
     return np.clip(grain, 0, 1)
 
 
-def _posters(rng: np.random.Generator, h: int, w: int, cell: float) -> np.ndarray:
+def _posters(rng: np.random.Generator, shape: tuple[int, int], cell: float) -> np.ndarray:
     """A wall with coloured posters of rectangles, discs and lines: strong corners for flow."""
-    base = 0.55 + 0.12 * (_octaves(rng, h, w, cell, cell, 3) - 0.5)
+    h, w = shape
+    base = 0.55 + 0.12 * (_octaves(rng, shape, cell, cell, 3) - 0.5)
     wall = np.repeat(base[..., None], 3, axis=2).astype(np.float32)
-    count = max(3, int(h * w / (cell * 14) ** 2))
-    for _ in range(count):
+    for _ in range(max(3, int(h * w / (cell * 14) ** 2))):
         pw, ph = (int(cell * f) for f in rng.uniform(5, 11, 2))
         x, y = int(rng.integers(-pw // 2, w)), int(rng.integers(-ph // 2, h))
         cv2.rectangle(
@@ -152,7 +154,7 @@ def environment_picture(source: str | Path, folder: Path | None = None) -> np.nd
     """(h, 2h, 3) float64 linear radiance. `source`: "studio", "sunset" or an .hdr file
     beside the scene. Raises InputError if the file cannot be read or holds values that are
     not finite and >= 0."""
-    if str(source) in ("studio", "sunset"):
+    if str(source) in _ROOMS:
         return _made(str(source))
     path = (folder or Path()) / source
     picture = decode_picture(path, "image", cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
@@ -160,15 +162,6 @@ def environment_picture(source: str | Path, folder: Path | None = None) -> np.nd
     if not np.isfinite(rgb).all() or rgb.min() < 0:
         raise InputError(f"environment {path} holds values that are not finite and >= 0")
     return cv2.resize(rgb, (256, 128), interpolation=cv2.INTER_AREA)
-
-
-# lamps in the built-in rooms: direction, radius in degrees, radiance
-_STUDIO = (
-    (0.5, -0.6, 0.62, 14, 5.5, 5.6, 6.0),
-    (-0.7, 0.3, 0.65, 10, 2.6, 2.5, 2.3),
-    (-0.1, 0.9, 0.4, 8, 2.0, 1.4, 0.8),
-)
-_SUN = ((0.85, 0.35, 0.4, 4, 70.0, 52.0, 30.0),)
 
 
 def _made(name: str) -> np.ndarray:
@@ -180,9 +173,9 @@ def _made(name: str) -> np.ndarray:
     else:
         sky = np.dstack([0.25 + 0.5 * low, 0.3 + 0.25 * low, 0.5 - 0.1 * high])
         picture = np.where(z > 0, sky, [0.12, 0.11, 0.1])
-    for *centre, radius_deg, r, g, b in _STUDIO if name == "studio" else _SUN:
-        inside = towards @ normalise(np.array(centre)) > np.cos(np.radians(radius_deg))
-        picture[inside] = r, g, b
+    for lamp in _ROOMS[name]:
+        aside = towards @ normalise(np.array(lamp["towards"]))
+        picture[aside > np.cos(np.radians(lamp["radius_deg"]))] = lamp["rgb"]
     return picture
 
 
@@ -202,14 +195,9 @@ def environment_lights(picture: np.ndarray, count: int) -> np.ndarray:
     towards, solid = _directions(h, w)
     power = picture.mean(-1) * solid
     # of each pixel: direction by power, light, power, row
-    pixels = np.dstack(
-        [
-            towards * power[..., None],
-            picture * solid[..., None] / np.pi,
-            power,
-            np.indices((h, w))[0],
-        ]
-    )
+    light = picture * solid[..., None] / np.pi
+    row = np.indices((h, w))[0]
+    pixels = np.dstack([towards * power[..., None], light, power, row])
     regions = [pixels]
     while len(regions) < count:
         sizes = [r[..., 6].sum() if r[..., 6].size > 1 else -1.0 for r in regions]

@@ -24,11 +24,15 @@ def radiance(rays: Rays, room: Room) -> tuple[np.ndarray, np.ndarray]:
     shade(rays, room, light, numbers)
     if room.sky.size:
         away = (numbers == 1) & np.isfinite(rays.towards[:, 0])
-        light[away] = _sky(room.sky, rays.towards[away])
+        height, width = room.sky.shape[:2]
+        x, y, up = normalise(rays.towards[away]).T
+        column = ((0.5 - np.arctan2(y, x) / (2 * np.pi)) * width).astype(int) % width
+        row = ((0.5 - np.arcsin(up) / np.pi) * height).astype(int)
+        light[away] = room.sky[np.minimum(row, height - 1), column]
     return light, numbers
 
 
-def surfaces(rays: np.ndarray, pose: Pose, room: Room) -> tuple[np.ndarray, np.ndarray]:
+def surfaces(rays: np.ndarray, room: Room, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
     """(depth (h, w) along the axis, object number (h, w) uint8) of the first surface along
     rays (h, w, 2), camera directions; 0 = nothing. pose : room_from_camera
     """
@@ -40,12 +44,3 @@ def surfaces(rays: np.ndarray, pose: Pose, room: Room) -> tuple[np.ndarray, np.n
     owners = np.concatenate([room.rects[:, 15], room.spheres[:, 7], [0.0]])
     depth, owner = np.where(index < 0, 0.0, distance), owners[index].astype(np.uint8)
     return depth.reshape(rays.shape[:2]), owner.reshape(rays.shape[:2])
-
-
-def _sky(sky: np.ndarray, towards: np.ndarray) -> np.ndarray:
-    """(n, 3) radiance of a panorama in directions (n, 3)."""
-    height, width = sky.shape[:2]
-    x, y, up = normalise(towards).T
-    column = ((0.5 - np.arctan2(y, x) / (2 * np.pi)) * width).astype(int) % width
-    row = ((0.5 - np.arcsin(up) / np.pi) * height).astype(int)
-    return sky[np.minimum(row, height - 1), column]

@@ -51,35 +51,7 @@ class World:
         self.camera = true_camera(scene)
         self.frame_times_s = _frame_times(scene)
         self.shots = np.repeat(np.arange(len(scene.shot)), [s.frames for s in scene.shot])
-        rects, spheres = list[Any](), list[Any]()
-        pictures = list[tuple[np.ndarray, float]]()
-        for number, p in enumerate(scene.objects, 1):
-            if isinstance(p, Sphere):
-                spheres.append([0, 0, 0, p.radius_m, *p.colour, number])
-                continue
-            size_m, picture, smallest, gloss = self._surface(p, number, folder)
-            half = np.array(size_m) / 2
-            for u, v in _SIDES if isinstance(p, Box) else (_UP,):
-                n = np.cross(u, v)
-                sides = half @ abs(u), half @ abs(v)
-                about = (*sides, len(pictures), number, gloss)
-                rects.append([*(half * n + half * _Z), *u, *v, *n, *about])
-            pictures.append((picture, smallest))
-        ambient = np.array(scene.light.ambient_rgb, float)
-        sky, lights = np.zeros((0, 0, 3)), np.zeros((0, 7))
-        if scene.light.environment:
-            sky = environment_picture(scene.light.environment, folder)
-            sky = sky * scene.light.environment_scale
-            lights = environment_lights(sky, scene.light.environment_lights)
-            ambient = np.zeros(3)
-        self.room = Room(
-            np.array(rects, float).reshape(-1, 17),
-            np.array(spheres, float).reshape(-1, 8),
-            lights,
-            ambient,
-            *_summed_areas(pictures),
-            sky,
-        )
+        self.room = _room(scene, folder)
 
     @property
     def duration_s(self) -> float:
@@ -99,22 +71,6 @@ class World:
             disc = np.tan(np.radians(li.angular_size_deg) / 2)
             rows.append([*direction_of(*angles), *rgb, disc])
         return np.array(rows).reshape(-1, 7)
-
-    def _surface(
-        self, p: SceneObject, number: int, folder: Path | None
-    ) -> tuple[tuple[float, ...], np.ndarray, float, float]:
-        """Size (3,) metres, albedo, smallest box in texels, gloss."""
-        if isinstance(p, Marker):
-            hidden = self.scene.hidden
-            picture, side = sheet_albedo(p, hidden.worn_ink)
-            return (side, side, 0.0), picture, 0.0, hidden.gloss
-        assert isinstance(p, (Plane, Box))
-        x, y, z = size = (*p.size_m, 0.0)[:3]
-        covered = (max(x, y), max(y, z)) if isinstance(p, Box) else (x, y)
-        seed = self.scene.seed * 1000 + number - 1
-        picture = texture_albedo(p.texture, covered, seed, folder)
-        hard = isinstance(p, Plane) and p.texture.kind == "checker"
-        return size, picture, float(not hard), 0.0
 
     def poses(self, time_s: float) -> tuple[Pose, ...]:
         """room_from_object of every object."""
@@ -178,16 +134,53 @@ def true_camera(scene: SceneFile) -> Camera:
     )
 
 
-def _summed_areas(
-    pictures: list[tuple[np.ndarray, float]],
-) -> tuple[np.ndarray, np.ndarray]:
-    rows, tables = [], [np.zeros((1, 3))]
-    for picture, smallest in pictures:
+def _room(scene: SceneFile, folder: Path | None) -> Room:
+    """Each thing in its own axes, and the lights of a panorama."""
+    hidden = scene.hidden
+    rects, spheres, textures = list[Any](), list[Any](), list[Any]()
+    tables = [np.zeros((1, 3))]
+    for number, p in enumerate(scene.objects, 1):
+        if isinstance(p, Sphere):
+            spheres.append([0, 0, 0, p.radius_m, *p.colour, number])
+            continue
+        size_m, smallest, gloss = np.zeros(3), 0.0, 0.0  # smallest: box in texels
+        if isinstance(p, Marker):
+            picture, size_m[:2] = sheet_albedo(p, hidden.worn_ink)
+            gloss = hidden.gloss
+        else:
+            assert isinstance(p, (Plane, Box))
+            size_m[: len(p.size_m)] = p.size_m
+            x, y, z = size_m.tolist()
+            covered = (max(x, y), max(y, z)) if isinstance(p, Box) else (x, y)
+            seed = scene.seed * 1000 + number - 1
+            picture = texture_albedo(p.texture, covered, seed, folder)
+            smallest = float(isinstance(p, Box) or p.texture.kind != "checker")
+        half = size_m / 2
+        for u, v in _SIDES if isinstance(p, Box) else (_UP,):
+            n = np.cross(u, v)
+            sides = half @ abs(u), half @ abs(v)
+            about = (*sides, len(textures), number, gloss)
+            rects.append([*(half * n + half * _Z), *u, *v, *n, *about])
         h, w = picture.shape[:2]
         rgb = np.broadcast_to(picture, (h, w, 3)).astype(float)
-        rows.append([sum(map(len, tables)), w, h, smallest])
+        textures.append([sum(map(len, tables)), w, h, smallest])
         tables.append(np.asarray(cv2.integral(rgb), float).reshape(-1, 3))
-    return np.array(rows, float).reshape(-1, 4), np.concatenate(tables)
+    ambient = np.array(scene.light.ambient_rgb, float)
+    sky, lights = np.zeros((0, 0, 3)), np.zeros((0, 7))
+    if scene.light.environment:
+        sky = environment_picture(scene.light.environment, folder)
+        sky = sky * scene.light.environment_scale
+        lights = environment_lights(sky, scene.light.environment_lights)
+        ambient = np.zeros(3)
+    return Room(
+        np.array(rects, float).reshape(-1, 17),
+        np.array(spheres, float).reshape(-1, 8),
+        lights,
+        ambient,
+        np.array(textures, float).reshape(-1, 4),
+        np.concatenate(tables),
+        sky,
+    )
 
 
 def _frame_times(scene: SceneFile) -> np.ndarray:
@@ -222,11 +215,9 @@ def look_at(position_m: np.ndarray, target_m: np.ndarray) -> Pose:
     """camera_from_room of a camera that looks from one point at another, the room's z up in
     its picture. Straight up or down, the room's y is up instead."""
     forward = normalise(np.asarray(target_m, float) - position_m)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    if (
-        np.linalg.norm(right) < 1e-6
-    ):  # looking along z to within a microradian: `up` gives no direction
-        right = np.cross(forward, [0.0, 1.0, 0.0])
+    right = np.cross(forward, _Z)
+    if np.linalg.norm(right) < 1e-6:  # along z to within a microradian: no direction
+        right = np.cross(forward, _Y)
     right = normalise(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
     return Pose(rotation, -rotation @ np.asarray(position_m, float))
@@ -236,10 +227,7 @@ def camera_from_room(
     path: CameraPath, time_s: float, duration_s: float, seed: int, name: str
 ) -> Pose:
     """Pose of the camera, `time_s` after its shot began."""
-    target, position = (
-        np.asarray(path.target_m, float),
-        np.asarray(path.position_m, float),
-    )
+    target, position = np.array([path.target_m, path.position_m], float)
     share = _share(time_s, duration_s)
     if path.kind == "orbit":
         ends = np.radians([path.azimuth_deg, path.elevation_deg])

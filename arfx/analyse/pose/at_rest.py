@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import cv2
 import numpy as np
@@ -46,31 +46,29 @@ _BACK_PX = 0.3  # from its start, in the reduced image: a corner that came back
 _MIN_POINTS = 6
 
 
-@dataclass(frozen=True, eq=False)
-class Snapshot:
-    """A reduced picture. luma : (h, w) uint8;  corners : (h, w) uint8, 0 where none is taken
-    pixel_px : clip px in one of its own"""
+class Snapshot(NamedTuple):
+    """A reduced picture. frame : its number;  luma : (h, w) uint8
+    corners : (h, w) uint8, 0 where none is taken;  pixel_px : clip px in one of its own"""
 
+    frame: int
     luma: np.ndarray
     corners: np.ndarray
     pixel_px: int
 
 
-def snapshot(luma: np.ndarray, markers: Iterable[Rect] | None = None) -> Snapshot:
-    """luma : (h, w) uint8;  markers : no corners there; without them those that stand out
-    of noise are taken
-    """
-    factor = max(1, luma.shape[1] // WIDTH_PX)
-    size = luma.shape[1] // factor, luma.shape[0] // factor
-    small = cv2.resize(luma, size, interpolation=cv2.INTER_AREA)
-    if markers is None:
-        return Snapshot(small, (_contrast(small)[1] > FLAT).astype(np.uint8), factor)
-    corners = np.ones_like(small)
-    for r in markers:
+def snapshot(frame: AnalysisFrame, markers: Iterable[Rect] | None = None) -> Snapshot:
+    """markers : no corners there; without them those that stand out of noise are taken"""
+    height, width = frame.luma.shape
+    factor = max(1, width // WIDTH_PX)
+    size = width // factor, height // factor
+    small = cv2.resize(frame.luma, size, interpolation=cv2.INTER_AREA)
+    rough = markers is not None or _contrast(small)[1] > FLAT
+    corners = np.full(small.shape, rough, np.uint8)
+    for r in markers or ():
         r = r.pad(max(r.width, r.height) // 3)
         rows = slice(max(r.y0 // factor, 0), r.y1 // factor + 1)
         corners[rows, max(r.x0 // factor, 0) : r.x1 // factor + 1] = 0
-    return Snapshot(small, corners, factor)
+    return Snapshot(frame.index, small, corners, factor)
 
 
 def follow(first: Snapshot, second: Snapshot) -> tuple[np.ndarray, np.ndarray]:
@@ -126,30 +124,29 @@ class BackgroundFlow:
 
     def __init__(self, frames: int) -> None:
         self.background: list[FlowSample] = []
-        self._before: tuple[int, Snapshot] | None = None
+        self._before: Snapshot | None = None
         self._time_s = -np.inf
         self._even = EvenFrames(frames, MAX_SAMPLES, 0.0)
 
     def step(self, frame: AnalysisFrame, shown: Sequence[Sighting]) -> None:
-        time_s = frame.time_s
-        if time_s - self._time_s < INTERVAL_S:
+        if frame.time_s - self._time_s < INTERVAL_S:
             return
-        before = self._before
-        first = bool(shown) and self._even.due(frame.index, time_s)
-        self._before, self._time_s = None, time_s if shown else -np.inf
+        before, self._before = self._before, None
+        self._time_s = frame.time_s if shown else -np.inf
+        first = bool(shown) and self._even.due(frame.index, frame.time_s)
         if not first and before is None:
             return
-        now = snapshot(frame.luma, [Rect.around(s.print.corners_px) for s in shown])
+        now = snapshot(frame, [Rect.around(s.print.corners_px) for s in shown])
         if first:
-            self._before = frame.index, now
+            self._before = now
         if before is not None:
-            here, there = follow(before[1], now)
+            here, there = follow(before, now)
             found = np.isfinite(there).all(1)
             if found.sum() >= _MIN_POINTS:
                 places = here[found].round(3), there[found].round(3)
-                number = before[0]
+                later = now.frame - before.frame
                 self.background.append(
-                    FlowSample(number, frame.index - number, now.pixel_px, *places)
+                    FlowSample(before.frame, later, now.pixel_px, *places)
                 )
 
 
@@ -165,7 +162,7 @@ def decide_static(
     posed = [
         s for s in samples if {s.index, s.index + s.frames} <= camera_from_world.keys()
     ]
-    shares = []
+    shares = list[Any]()
     for s in posed:
         from_, to = camera.normalised(np.stack([s.here, s.there]))
         a, b = camera_from_world[s.index], camera_from_world[s.index + s.frames]
@@ -178,11 +175,11 @@ def decide_static(
         shares.append(
             ((way < still).mean(), along, np.linalg.norm(np.diff(moved, axis=0)))
         )
-    rest, along, moves = np.array(shares).reshape(-1, 3).T
+    rest, along, moves = np.array(shares or [(0.0, 0.0, np.nan)]).T
     evidence = {
         "samples": float(len(shares)),
-        "at_rest": float(rest.mean()) if shares else 0.0,
-        "with_marker": float(along.mean()) if shares else 0.0,
+        "at_rest": float(rest.mean()),
+        "with_marker": float(along.mean()),
         "marker_moves_px": float(np.nanmedian(moves))
         if np.isfinite(moves).any()
         else 0.0,
@@ -200,20 +197,13 @@ def epipolar_distance(
     a, b : (n, 2) ideal normalised coordinates;  b_from_a : motion of the camera frame. inf
     where there is no direction.
     """
-    far = np.column_stack([a, np.ones(len(a))]) @ b_from_a.rotation.T
+    far = np.pad(a, ((0, 0), (0, 1)), constant_values=1.0) @ b_from_a.rotation.T
     near = far + b_from_a.translation_m / max(nearest_m, LEAST_DEPTH_M)
     p, q = (divide(v[:, :2], v[:, 2:], where_zero=np.nan) for v in (far, near))
     d = q - p
     t = np.clip(divide(((b - p) * d).sum(1), (d * d).sum(1)), 0, 1)
     distance = np.linalg.norm(b - p - t[:, None] * d, axis=1)
     return np.where(np.isfinite(distance), distance, np.inf)
-
-
-class RestPicture(NamedTuple):
-    """The first picture of a part of the clip."""
-
-    frame: int
-    snapshot: Snapshot
 
 
 class RestMotion(NamedTuple):
@@ -229,12 +219,12 @@ class RestCheck:
     """Compares pictures of a part of the clip with its first one."""
 
     tables: ClassVar[Mapping[str, type]] = {
-        "rest_pictures": RestPicture,
+        "rest_pictures": Snapshot,
         "rest_motions": RestMotion,
     }
 
     def __init__(self) -> None:
-        self.rest_pictures: list[RestPicture] = []
+        self.rest_pictures: list[Snapshot] = []
         self.rest_motions: list[RestMotion] = []
         self._next_s = -np.inf
 
@@ -242,7 +232,7 @@ class RestCheck:
         if frame.time_s < self._next_s:
             return
         self._next_s = frame.time_s + INTERVAL_S
-        now = RestPicture(frame.index, snapshot(frame.luma))
+        now = snapshot(frame)
         if self.rest_pictures:
             self.rest_motions.append(_motion(self.rest_pictures[0], now))
         else:
@@ -250,7 +240,7 @@ class RestCheck:
 
 
 def rests(
-    pictures: Sequence[RestPicture], motions: Sequence[RestMotion]
+    pictures: Sequence[Snapshot], motions: Sequence[RestMotion]
 ) -> tuple[bool, float]:
     """(whether the camera stands still, the farthest that the middle corner was seen from its
     place, clip px): of `RestCheck`, each part against its own first picture, and these against
@@ -259,11 +249,11 @@ def rests(
     return all(m.rests for m in every), max((m.moved_px for m in every), default=0.0)
 
 
-def _motion(first: RestPicture, now: RestPicture) -> RestMotion:
-    here, there = follow(first.snapshot, now.snapshot)
+def _motion(first: Snapshot, now: Snapshot) -> RestMotion:
+    here, there = follow(first, now)
     away = np.linalg.norm(there - here, axis=1)
     # a corner that is lost may have left the picture; without any nothing could tell
-    near = away < REST_PX * now.snapshot.pixel_px
+    near = away < REST_PX * now.pixel_px
     stays = not len(away) or bool(near.mean() > AT_REST)
     moved_px = float(np.nanmedian(away)) if np.isfinite(away).any() else 0.0
     return RestMotion(now.frame, moved_px, stays)

@@ -126,11 +126,6 @@ def smooth_chain(chain: Chain, density: np.ndarray) -> Smoothed:
     return Smoothed(mean.reshape(n, DIM), factor, float(log))
 
 
-def evidence(chain: Chain, density: np.ndarray) -> float:
-    """Log evidence, up to a constant of the chain, of noise densities, as of smooth_chain."""
-    return smooth_chain(chain, density).evidence
-
-
 def covariances(factor: np.ndarray) -> np.ndarray:
     """(n, 12, 12) of every state given all measurements. factor : of Smoothed"""
     n = factor.shape[1] // DIM

@@ -7,7 +7,6 @@ world = the axes of the first configured marker that was seen. Source: docs/meth
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -17,14 +16,16 @@ from arfx.analyse.pose.planar import (
     Observed,
     PlanarPoses,
     apply_step,
+    best_of_each,
     huber_cost,
     jacobian,
+    lever,
     refine_poses,
     residuals,
     rms_px,
 )
 from arfx.core.numerics import condition
-from arfx.core.pose import Pose, skew
+from arfx.core.pose import Pose
 
 # frames that the adjustment uses, evenly spread over those with two or more markers
 MAX_FRAMES = 200
@@ -55,8 +56,7 @@ class Prints(NamedTuple):
         return out
 
 
-@dataclass(frozen=True)
-class MarkerMap:
+class MarkerMap(NamedTuple):
     """world_from_marker by key;  unmapped keys;  frames used;  rms_px of the adjustment, 0
     without one
     standard_deviation_m : of each marker's centre;  condition : of the reduced normal
@@ -67,7 +67,7 @@ class MarkerMap:
     unmapped: tuple[str, ...] = ()
     frames: int = 0
     rms_px: float = 0.0
-    standard_deviation_m: Mapping[str, float] | None = None
+    standard_deviation_m: Mapping[str, float] = {}
     condition: float = 1.0
 
     def to_json(self) -> dict[str, Any]:
@@ -76,7 +76,7 @@ class MarkerMap:
             "rms_px": self.rms_px,
             "condition": self.condition if np.isfinite(self.condition) else None,
             "unmapped": list(self.unmapped),
-            "sd_m": dict(self.standard_deviation_m or {}),
+            "sd_m": dict(self.standard_deviation_m),
         }
 
 
@@ -136,20 +136,19 @@ def _relative_pose(prints: Prints, pairs: np.ndarray) -> tuple[float, Pose]:
     if not len(pairs):
         return np.inf, Pose.identity()
     a, b = map(prints.poses.take, _evenly(pairs, _VOTERS).T)
-    a_from_camera = np.swapaxes(a.rotation, -1, -2)[:, :, None]
     apart = b.translation[:, None] - a.translation[:, :, None]
     known = a.known[:, :, None] & b.known[:, None]
+    a_from_camera = np.swapaxes(a.rotation, -1, -2)[:, :, None]
     turn = (a_from_camera @ b.rotation[:, None])[known]
     shift = (a_from_camera @ apart[..., None])[known][..., 0]
     # every solution of a, in every frame, with every candidate
     judges = _evenly(pairs, _JUDGES)
     a, seen = prints.poses.take(judges[:, 0]), prints.seen.take(judges[:, 1])
-    turned = (a.rotation[:, :, None] @ turn).reshape(-1, 3, 3)
-    moved = (a.rotation[:, :, None] @ shift[..., None])[..., 0] + a.translation[
-        :, :, None
-    ]
+    turned = a.rotation[:, :, None] @ turn
+    moved = np.einsum("nsij,kj->nski", a.rotation, shift) + a.translation[:, :, None]
     seen = seen.take(np.repeat(np.arange(len(judges)), 2 * len(turn)))
-    missed = rms_px(residuals(turned, moved.reshape(-1, 3), seen), seen.weight)
+    off = residuals(turned.reshape(-1, 3, 3), moved.reshape(-1, 3), seen)
+    missed = rms_px(off, seen.weight)
     missed = missed.reshape(len(judges), 2, len(turn))
     missed[~a.known] = np.inf
     typical = np.median(missed.min(1), axis=0)
@@ -189,8 +188,7 @@ def _adjust(
     frame = prints.frame[row]
     one = seen.take(frame)
     misfit, _ = huber_cost(residuals(rotation, translation, one), one.weight)
-    order = np.lexsort((misfit, frame))
-    first = order[np.unique(frame[order], return_index=True)[1]]
+    first = best_of_each(frame, misfit)
     rotation, translation, _ = refine_poses(rotation[first], translation[first], seen)
     map_r, map_t = arrays(layout)
     cost = np.inf
@@ -205,18 +203,14 @@ def _adjust(
         root = np.sqrt(seen.weight * factor)[..., None]
         frame_j = jacobian(rotation, translation, seen)
         # px per left perturbation, in world axes, of the marker that carries the corner
-        lever = np.concatenate(
-            [-skew(world), np.broadcast_to(np.eye(3), (*world.shape, 3))], -1
-        )
-        map_j = frame_j[..., 3:] @ rotation[:, None] @ lever
+        map_j = frame_j[..., 3:] @ rotation[:, None] @ lever(world)
         own, upper = np.linalg.qr((frame_j * root[..., None]).reshape(n, -1, 6))
         of_map = (map_j * root[..., None]).reshape(n, m, 8, 6)
         own, missed = own.reshape(n, m, 8, 6), (r * root).reshape(n, m, 8)
         shared = np.einsum("nmai,nmaj->nimj", own, of_map).reshape(6 * n, 6 * m)
         explained = np.einsum("nmai,nma->ni", own, missed).ravel()
-        normal = (
-            block_diag(*np.einsum("nmai,nmaj->mij", of_map, of_map)) - shared.T @ shared
-        )
+        own_blocks = np.einsum("nmai,nmaj->mij", of_map, of_map)
+        normal = block_diag(*own_blocks) - shared.T @ shared
         right = np.einsum("nmai,nma->mi", of_map, missed).ravel() - shared.T @ explained
         reduced = normal[6:, 6:]  # the first marker is the world: it stays
         step = np.append(np.zeros(6), -np.linalg.solve(reduced, right[6:]))
@@ -225,9 +219,9 @@ def _adjust(
         rotation, translation = apply_step(rotation, translation, frame_step[..., 0])
     rms = float(np.sqrt(np.mean(rms_px(r, seen.weight) ** 2)))
     # a centre moves by rotation x centre + translation of the left perturbation
-    lever = np.concatenate([-skew(map_t), np.tile(np.eye(3), (m, 1, 1))], 2)
+    moved = lever(map_t[1:])
     covariance = np.linalg.pinv(reduced).reshape(m - 1, 6, m - 1, 6)
-    square = np.einsum("iaj,ijik,iak->i", lever[1:], covariance, lever[1:])
+    square = np.einsum("iaj,ijik,iak->i", moved, covariance, moved)
     spread = dict(zip(keys, [0.0, *np.sqrt(np.maximum(square, 0)).tolist()], strict=True))
     poses = {k: Pose(map_r[i], map_t[i]) for i, k in enumerate(keys)}
     return MarkerMap(poses, unmapped, n, rms, spread, condition(reduced))
@@ -235,9 +229,8 @@ def _adjust(
 
 def arrays(poses: Sequence[Pose]) -> tuple[np.ndarray, np.ndarray]:
     """Rotation (n, 3, 3), translation (n, 3)."""
-    return np.array([p.rotation for p in poses]), np.array(
-        [p.translation_m for p in poses]
-    )
+    turn, shift = ([p.rotation for p in poses], [p.translation_m for p in poses])
+    return np.array(turn), np.array(shift)
 
 
 def observe(prints: Prints, n: int, layout: Sequence[Pose]) -> Observed:

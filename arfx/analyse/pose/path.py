@@ -6,13 +6,13 @@ Source: docs/methods/pose.md#path."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from arfx.analyse.pose.marker_map import Prints, camera_poses, observe
-from arfx.analyse.pose.planar import Observed, refine_poses, residuals
+from arfx.analyse.pose.planar import Observed, best_of_each, refine_poses, residuals
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose, rotvec_from_rotation
 
@@ -76,8 +76,7 @@ def move_costs(
     return np.minimum(0.5 * (a * a + b * b), MOVE_CAP)
 
 
-@dataclass(frozen=True)
-class WorldPath:
+class WorldPath(NamedTuple):
     """rotation (n, 3, 3), translation (n, 3) of camera_from_world before smoothing,
     identity where not measured
     measured : (n,);  observed : all corners that count;  flips : frames in which the best
@@ -122,8 +121,7 @@ def world_path(
     cost = np.where(t[:, 2] > 0, cost, 1e9)
     path = choose_path(r, t, cost, index, times_s, shot)
     rotation[measured], translation[measured] = r[path], t[path]
-    order = np.lexsort((cost, index))
-    alone = r[order[np.unique(index, return_index=True)[1]]]
+    alone = r[best_of_each(index, cost)]
     turn = rotvec_from_rotation(r[path] @ np.swapaxes(alone, 1, 2))
     flips = int((np.linalg.norm(turn, axis=1) > FLIP_RAD).sum())
     # Markers that contradict the others of their frame, another print of the id or a misread,

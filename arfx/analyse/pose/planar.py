@@ -88,8 +88,13 @@ def jacobian(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> n
     view = np.zeros((*q.shape[:-1], 2, 3))  # of (x/z, y/z), by the point
     view[..., 0, 0] = view[..., 1, 1] = 1 / z
     view[..., 2] = -q[..., :2] / (z**2)[..., None]
-    turned = np.concatenate([-skew(q), np.broadcast_to(np.eye(3), (*q.shape, 3))], -1)
-    return seen.px_per_ideal @ view @ turned
+    return seen.px_per_ideal @ view @ lever(q)
+
+
+def lever(points: np.ndarray) -> np.ndarray:
+    """(..., 3, 6) how points (..., 3) move, by a left perturbation in their axes."""
+    straight = np.broadcast_to(np.eye(3), (*points.shape, 3))
+    return np.concatenate([-skew(points), straight], -1)
 
 
 def huber_cost(r: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -105,43 +110,36 @@ def refine_poses(
     rotation: np.ndarray, translation: np.ndarray, seen: Observed, iterations: int = 12
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Levenberg-Marquardt on every frame separately, Huber loss: (rotation, translation,
-    cost (n,)). Many are refined in turns: memory does not grow with them.
+    cost (n,)). Many are refined in turns: memory hardly grows with them.
     """
-    if len(rotation) > _AT_ONCE:
-        turns = [slice(a, a + _AT_ONCE) for a in range(0, len(rotation), _AT_ONCE)]
-        parts = [
-            refine_poses(rotation[t], translation[t], seen.take(t), iterations)
-            for t in turns
-        ]
-        rotation, translation, cost = map(np.concatenate, zip(*parts, strict=True))
-        return rotation, translation, cost
     rotation, translation = np.array(rotation, float), np.array(translation, float)
     cost, _ = huber_cost(residuals(rotation, translation, seen), seen.weight)
     damping, settled = np.full(len(cost), 1e-4), np.zeros(len(cost), int)
-    at = np.flatnonzero(np.isfinite(cost))
-    for _ in range(iterations):
-        part, pose = seen.take(at), (rotation[at], translation[at])
-        missed, j = residuals(*pose, part), jacobian(*pose, part)
-        factor = huber_cost(missed, part.weight)[1]
-        weighted = j * (part.weight * factor)[..., None, None]
-        normal = _products(weighted, j)
-        diagonal = np.einsum("nii->ni", normal)
-        diagonal += diagonal * damping[at, None] + 1e-12
-        step = -np.linalg.solve(normal, _products(weighted, missed[..., None]))
-        turned, moved = apply_step(*pose, step[..., 0])
-        now, _ = huber_cost(residuals(turned, moved, part), part.weight)
-        # settled twice in a row: a refused step may by chance cost the same as the place it
-        # came from
-        still = np.abs(cost[at] - now) < _CONVERGED * (1 + cost[at])
-        settled[at] = np.where(still, settled[at] + 1, 0)
-        better = now < cost[at]
-        damping[at] = np.clip(damping[at] * np.where(better, 0.2, 10.0), 1e-9, 1e6)
-        taken = at[better]
-        rotation[taken], translation[taken] = turned[better], moved[better]
-        cost[taken] = now[better]
-        at = at[settled[at] < 2]
-        if not len(at):
-            break
+    every = np.flatnonzero(np.isfinite(cost))
+    for at in np.split(every, range(_AT_ONCE, len(every), _AT_ONCE)):
+        for _ in range(iterations):
+            part, pose = seen.take(at), (rotation[at], translation[at])
+            missed, j = residuals(*pose, part), jacobian(*pose, part)
+            factor = huber_cost(missed, part.weight)[1]
+            weighted = j * (part.weight * factor)[..., None, None]
+            normal = _products(weighted, j)
+            diagonal = np.einsum("nii->ni", normal)
+            diagonal += diagonal * damping[at, None] + 1e-12
+            step = -np.linalg.solve(normal, _products(weighted, missed[..., None]))
+            turned, moved = apply_step(*pose, step[..., 0])
+            now, _ = huber_cost(residuals(turned, moved, part), part.weight)
+            # settled twice in a row: a refused step may by chance cost the same as the
+            # place it came from
+            still = np.abs(cost[at] - now) < _CONVERGED * (1 + cost[at])
+            settled[at] = np.where(still, settled[at] + 1, 0)
+            better = now < cost[at]
+            damping[at] = np.clip(damping[at] * np.where(better, 0.2, 10.0), 1e-9, 1e6)
+            taken = at[better]
+            rotation[taken], translation[taken] = turned[better], moved[better]
+            cost[taken] = now[better]
+            at = at[settled[at] < 2]
+            if not len(at):
+                break
     return rotation, translation, cost
 
 
@@ -157,6 +155,12 @@ def _products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(n, i, j) sums over corners and coordinates of a (n, p, 2, i) times b (n, p, 2, j)."""
     a, b = (v.reshape(len(v), 2 * v.shape[1], v.shape[-1]) for v in (a, b))
     return np.swapaxes(a, 1, 2) @ b
+
+
+def best_of_each(owner: np.ndarray, cost: np.ndarray) -> np.ndarray:
+    """(g,) which row costs least, of each owner's, in their order. owner, cost : (n,)"""
+    order = np.lexsort((cost, owner))
+    return order[np.unique(owner[order], return_index=True)[1]]
 
 
 def apply_step(
@@ -193,25 +197,30 @@ def both_poses(corners_m: np.ndarray, ideal: np.ndarray) -> np.ndarray:
     return np.stack(solved[1:3], 1).reshape(-1, 2, 3)
 
 
-def frontal_poses(
-    corners_m: np.ndarray, ideal: np.ndarray, towards: np.ndarray
+def _frontal_poses(
+    corners_m: np.ndarray, ideal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (n, 3, 3) and translation (n, 3) of markers that face against a direction,
-    at the place, distance and roll of their pictures.
+    """Rotation (2 n, 3, 3) and translation (2 n, 3) of markers that face the camera, and then
+    of ones that are parallel to the picture, at the place, distance and roll of their
+    pictures.
 
-    corners_m : (n, 4, 3);  ideal : (n, 4, 2);  towards : (n, 3) camera coordinates, for
-    instance the rays through their middles
+    corners_m : (n, 4, 3);  ideal : (n, 4, 2)
     """
     side, extent = (
         np.linalg.norm(q - np.roll(q, -1, 1), axis=2).mean(1) for q in (corners_m, ideal)
     )
     ray = np.concatenate([ideal.mean(1), np.ones((len(ideal), 1))], 1)
     across = (ideal[:, 1] - ideal[:, 0] + ideal[:, 2] - ideal[:, 3]) / 2
-    out_of_print = -normalise(towards)
-    right = np.concatenate([across, np.zeros((len(ideal), 1))], 1)
-    right = normalise(right - out_of_print * (out_of_print * right).sum(1, keepdims=True))
+    out_of_print = -np.stack(
+        [normalise(ray), np.broadcast_to([0.0, 0.0, 1.0], ray.shape)]
+    )
+    right = np.pad(across, ((0, 0), (0, 1)))
+    right = normalise(
+        right - out_of_print * (out_of_print * right).sum(-1, keepdims=True)
+    )
     rotation = np.stack([right, np.cross(out_of_print, right), out_of_print], -1)
-    return rotation, ray * divide(side, extent, where_zero=1.0)[:, None]
+    place = ray * divide(side, extent, where_zero=1.0)[:, None]
+    return rotation.reshape(-1, 3, 3), np.tile(place, (2, 1))
 
 
 def _in_sight(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
@@ -239,32 +248,21 @@ def planar_poses(
     corners_m : (n, 4, 3);  ideal : (n, 4, 2);  px_per_ideal : (n, 4, 2, 2);  sigma_px : (n,)
     """
     n = len(ideal)
-    out = PlanarPoses(
-        np.tile(np.eye(3), (n, 2, 1, 1)), np.zeros((n, 2, 3)), np.full((n, 2), np.inf)
-    )
-    at = np.flatnonzero(np.isfinite(ideal).all((1, 2)))
-    if not len(at):
-        return out
-    points, ideal = np.asarray(corners_m)[at], ideal[at]
-    n = len(points)
-    seen = Observed(
-        points, ideal, px_per_ideal[at], np.repeat(sigma_px[at, None] ** -2.0, 4, 1)
-    )
-    solved = [both_poses(*one) for one in zip(points, ideal, strict=True)]
-    of = np.repeat(np.arange(n), [*map(len, solved)])
-    rotvec, translation = np.concatenate(solved).swapaxes(0, 1)
+    there = np.isfinite(ideal).all((1, 2))
+    weight = np.repeat(there[:, None] * sigma_px[:, None] ** -2.0, 4, 1)
+    ideal = np.where(there[:, None, None], ideal, 0.0)
+    seen = Observed(np.asarray(corners_m), ideal, px_per_ideal, weight)
+    solved = [both_poses(*one) for one in zip(corners_m, ideal, strict=True)]
+    owner = np.repeat(np.arange(n), [*map(len, solved)])
+    rotvec, translation = np.concatenate([np.zeros((0, 2, 3)), *solved]).swapaxes(0, 1)
     rotation = rotation_from_rotvec(rotvec)
     ahead = _in_sight(rotation, translation)
     # IPPE returns rubbish for a marker that faces the camera, or is parallel to the
     # picture, exactly: starts of their own
-    ray = np.concatenate([ideal.mean(1), np.ones((n, 1))], 1)
-    starts = [(rotation[ahead], translation[ahead])]
-    starts += [
-        frontal_poses(points, ideal, d)
-        for d in (ray, np.broadcast_to([0.0, 0.0, 1.0], (n, 3)))
-    ]
-    owner = np.concatenate([of[ahead], np.arange(n), np.arange(n)])
-    rotation, translation = (np.concatenate(parts) for parts in zip(*starts, strict=True))
+    frontal = _frontal_poses(seen.points_m, ideal)
+    owner = np.concatenate([owner[ahead], np.arange(n), np.arange(n)])
+    rotation = np.concatenate([rotation[ahead], frontal[0]])
+    translation = np.concatenate([translation[ahead], frontal[1]])
     poses = _refined(rotation, translation, seen.take(owner))
     chosen = _two_best(owner, poses, n)
     # and rubbish for one turned about an axis of its own: where one pose alone is found, its
@@ -274,11 +272,12 @@ def planar_poses(
     twins = _refined(_mirrored(rotation, translation), translation, seen.take(alone))
     poses = [np.concatenate(parts) for parts in zip(poses, twins, strict=True)]
     chosen = _two_best(np.concatenate([owner, alone]), poses, n)
+    out = PlanarPoses(
+        np.tile(np.eye(3), (n, 2, 1, 1)), np.zeros((n, 2, 3)), np.full((n, 2), np.inf)
+    )
     known = chosen >= 0
     for whole, values in zip(out, poses, strict=True):
-        part = whole[at]
-        part[known] = values[chosen[known]]
-        whole[at] = part
+        whole[known] = values[chosen[known]]
     return out
 
 
@@ -288,7 +287,7 @@ def _refined(
     """Rotation, translation and the error in px, infinite for one out of sight."""
     rotation, translation, _ = refine_poses(rotation, translation, seen, iterations=80)
     error = rms_px(residuals(rotation, translation, seen), seen.weight)
-    error[~(_in_sight(rotation, translation) & np.isfinite(error))] = np.inf
+    error[~(_in_sight(rotation, translation) & seen.weight.any(1))] = np.inf
     return [rotation, translation, error]
 
 

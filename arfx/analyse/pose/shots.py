@@ -4,7 +4,6 @@ Source: docs/methods/pose.md#presence."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from itertools import pairwise
 
@@ -43,14 +42,11 @@ def dissimilarity(a: np.ndarray, b: np.ndarray) -> float:
     """1 - correlation of two pictures of one size, 0 (same up to brightness and contrast) to
     2; flat pictures are compared by their level alone.
     """
-    levels = float(a.mean()), float(b.mean())
-    x, y = (v.ravel() - level for v, level in zip((a, b), levels, strict=True))
-    sx, sy = math.sqrt(x @ x / x.size), math.sqrt(y @ y / y.size)
-    least, most = sorted((sx, sy))
+    least, most = sorted((float(a.std()), float(b.std())))
     if least < 2.0:  # less contrast than noise: no structure to compare
-        same = most < 2.0 and abs(levels[0] - levels[1]) < 20
+        same = most < 2.0 and abs(a.mean() - b.mean()) < 20
         return 0.0 if same else float(most > 8.0)
-    return 1.0 - float(x @ y / (x.size * sx * sy))
+    return 1.0 - float(((a - a.mean()) * (b - b.mean())).mean() / (least * most))
 
 
 def find_cuts(

@@ -35,6 +35,8 @@ class Sightings:
     def __init__(
         self, records: Sequence[Record], markers: Sequence[Marker], camera: Camera
     ) -> None:
+        from scipy.spatial import cKDTree
+
         spec = {m.key: m for m in markers}
         number = {key: k for k, key in enumerate(spec)}
         seen = [(k, s) for k, r in enumerate(records) for s in r.detections]
@@ -73,16 +75,16 @@ class Sightings:
             np.bincount(frame, w / px**2, len(records))
             for w in (np.ones(len(seen)), misplaced**2, untold**2)
         )
-        gap_s = _gaps(np.array([r.time_s for r in records]), off > 0)
+        times_s = np.array([[r.time_s] for r in records])
+        # to the nearest frame where it is told, infinite where there is none
+        gap_s, _ = cKDTree(times_s[off > 0]).query(times_s)
         off = np.where(off > 0, off, hidden * 0.5 ** (2 * gap_s / _COVERS_S))
         self.common_px = np.hypot(self.common_px, np.sqrt(divide(off, whole)))
         self.prints = Prints(
             frame[known], marker[known], every.take(known), poses.take(known)
         )
         first, second = poses.error_px.T
-        ratio = np.full(len(seen), np.inf)
-        both = poses.known[:, 1]
-        ratio[both] = divide(second[both], first[both], where_zero=np.inf)
+        ratio = divide(second, first, where_zero=np.inf)
         self.facts: list[list[MarkerSighting]] = [[] for _ in records]
         for (k, s), sigma_px, ambiguity in zip(
             seen, px.tolist(), ratio.tolist(), strict=True
@@ -108,15 +110,5 @@ def _sigma_factor(
     chi2 = (change / (sigma[a] ** 2 + sigma[b] ** 2))[follows]
     if len(chi2) < 5:
         return 1.0
-    return float(
-        np.clip(np.sqrt(np.median(chi2) / 1.386), 0.5, 20.0)
-    )  # median of chi squared with two degrees
-
-
-def _gaps(times: np.ndarray, marked: np.ndarray) -> np.ndarray:
-    """(n,) s from each of times (n,), rising, to the nearest one that is marked, (n,) bool;
-    infinite where none is.
-    """
-    at = np.concatenate([[-np.inf], times[marked], [np.inf]])
-    after = np.clip(np.searchsorted(at, times), 1, None)
-    return np.minimum(times - at[after - 1], at[after] - times)
+    # by the median of chi squared with two degrees
+    return float(np.clip(np.sqrt(np.median(chi2) / 1.386), 0.5, 20.0))

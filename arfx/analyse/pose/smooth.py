@@ -19,7 +19,6 @@ import numpy as np
 from arfx.analyse.pose.chain import (
     Chain,
     covariances,
-    evidence,
     information_of_noise,
     least_density,
     smooth_chain,
@@ -83,7 +82,7 @@ def _density_over_time(chain: Chain, shot: np.ndarray) -> np.ndarray:
 
         def total(trial: np.ndarray) -> float:
             return (
-                evidence(part, trial[GROUP])
+                smooth_chain(part, trial[GROUP]).evidence
                 - _HOLD * np.abs(np.log10(trial / shot)).sum()
             )
 
@@ -135,7 +134,7 @@ def _density_of_shot(chain: Chain) -> np.ndarray:
         blocks = [chain.part(a, a + _BLOCK) for a in starts]
 
     def total(trial: np.ndarray) -> float:
-        return sum(evidence(b, trial[GROUP]) for b in blocks)
+        return sum(smooth_chain(b, trial[GROUP]).evidence for b in blocks)
 
     _, shot = _ascend(total, np.array([1e-3, 1e-3, 1e-3, 1e-3, LEAST]), range(SHAKE), 10)
     moving, shot = _ascend(total, shot, range(SHAKE), 10)
@@ -145,11 +144,10 @@ def _density_of_shot(chain: Chain) -> np.ndarray:
     start[SHAKE], start[SIDEWAYS], start[TURN] = shot[SIDEWAYS], LEAST, LEAST
     _, other = _ascend(total, start, (SIDEWAYS, TURN, DISTANCE), 10)
     shaking, other = _ascend(total, other, (SHAKE, ROLL, SIDEWAYS, TURN), 10)
+    order: tuple[int, ...] = TURN, ROLL, SIDEWAYS, DISTANCE
     if shaking > moving + _EARNED:
-        return _ascend(
-            total, other, 2 * (SHAKE, ROLL, DISTANCE, SIDEWAYS, TURN), 10**0.5
-        )[1]
-    return _ascend(total, shot, 2 * (TURN, ROLL, SIDEWAYS, DISTANCE), 10**0.5)[1]
+        shot, order = other, (SHAKE, ROLL, DISTANCE, SIDEWAYS, TURN)
+    return _ascend(total, shot, 2 * order, 10**0.5)[1]
 
 
 def smooth_poses(
@@ -171,45 +169,35 @@ def smooth_poses(
     """
     n = len(times_s)
     borders = np.linspace(0, n, -(-n // _PIECE) + 1).astype(int)
-    start_poses = rotation, translation, np.broadcast_to(_UNKNOWN, (n, 6, 6))
-    out = [a.copy() for a in start_poses]
-    noise = []
+    raw = rotation, translation, np.broadcast_to(_UNKNOWN, (n, 6, 6))
+    out, noise = [a.copy() for a in raw], []
     for first, end in pairwise(borders.tolist()):
-        start = max(first - _BESIDE, 0)
-        around = slice(start, end + _BESIDE)
-        part = seen.take(around)
-        piece = [a[around] for a in start_poses]
+        around = slice(max(first - _BESIDE, 0), end + _BESIDE)
+        part, piece = seen.take(around), [a[around] for a in raw]
         if part.weight.any():
-            poses = rotation[around], translation[around]
+            poses = piece[0], piece[1]
             *piece, density = _smooth_piece(*poses, part, times_s[around], strength)
             noise.append(density)
-        whole = slice(first + _FADE if first else 0, min(end + _FADE, n))
-        for every, own in zip(out, piece, strict=True):
-            every[whole] = own[_since(whole, start)]
-        if first:
-            fade = slice(first - _FADE, first + _FADE)
-            later = [own[_since(fade, start)] for own in piece]
-            for every, mixed in zip(
-                out, _faded([a[fade] for a in out], later), strict=True
-            ):
-                every[fade] = mixed
+        share = (np.arange(n)[around] + 0.5 - first) / (2 * _FADE) + 0.5
+        share = np.clip(share, float(not first), 1.0)
+        for whole, mixed in zip(
+            out, blended([a[around] for a in out], piece, share), strict=True
+        ):
+            whole[around] = mixed
     return *out, np.median(noise, axis=0)
 
 
-def _since(frames: slice, start: int) -> slice:
-    return slice(frames.start - start, frames.stop - start)
-
-
-def _faded(
-    before: Sequence[np.ndarray], after: Sequence[np.ndarray]
+def blended(
+    before: Sequence[np.ndarray], after: Sequence[np.ndarray], share: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rotations, translations and covariances of k frames that go over from some to others."""
+    """Rotations, translations and covariances of k frames between some (share (k,) 0) and
+    others (1): the shortest rotation, and straight lines."""
     (rotation, translation, covariance), (turned, moved, covariance_after) = before, after
-    share = ((np.arange(len(moved)) + 0.5) / len(moved))[:, None]
-    turn = rotvec_from_rotation(turned @ np.swapaxes(rotation, 1, 2))
+    share = share[:, None]
+    turn = rotvec_from_rotation(np.swapaxes(rotation, 1, 2) @ turned)
     return (
-        rotation_from_rotvec(share * turn) @ rotation,
-        translation + share * (moved - translation),
+        rotation @ rotation_from_rotvec(share * turn),
+        (1 - share) * translation + share * moved,
         covariance + share[..., None] * (covariance_after - covariance),
     )
 
@@ -230,11 +218,10 @@ def _smooth_piece(
     # fix a tilt (a frontal
     # marker) raw poses lie in the wrong valleys, each sure of itself, and only the stiff
     # path finds the one between.
-    attempts = []
-    for stiff in (False, True) if raw.typical_turn_error() > _UNSURE_RAD else (False,):
-        path = raw
-        if stiff:
-            path = path.iterated(_STIFF, 2 * PASSES)
+    starts, attempts = [raw], []
+    if raw.typical_turn_error() > _UNSURE_RAD:
+        starts.append(raw.iterated(_STIFF, 2 * PASSES))
+    for path in starts:
         shot = _density_of_shot(path.chain)
         path = path.iterated(shot[GROUP], PASSES)
         density = _density_over_time(path.chain, shot)
@@ -319,7 +306,7 @@ class _Path:
         r = residuals(self.rotation, self.translation, self.seen)
         cost, _ = huber_cost(r, self.seen.weight)
         _, size = np.linalg.slogdet(self.chain.links[..., 12:])
-        return float(evidence(self.chain, density) + size.sum() - cost.sum())
+        return float(smooth_chain(self.chain, density).evidence + size.sum() - cost.sum())
 
 
 def _position(

@@ -4,9 +4,8 @@ when the clip's end is known."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 from statistics import median
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from arfx.analyse.pose.path import WorldPath, world_path
 from arfx.analyse.pose.planar import information, residuals, rms_px
 from arfx.analyse.pose.shots import shot_numbers
 from arfx.analyse.pose.sightings import Sightings
-from arfx.analyse.pose.smooth import smooth_poses
+from arfx.analyse.pose.smooth import blended, smooth_poses
 from arfx.analyse.pose.visibility import (
     opacities,
     visible_intervals,
@@ -38,16 +37,6 @@ from arfx.core.pose import Pose
 from arfx.errors import NothingToDoError
 
 USUAL_PX = 2.0  # of reprojection, at most; of pictures longer than 2000 px a thousandth
-
-
-class SmoothPath(NamedTuple):
-    """rotation (n, 3, 3), translation (n, 3), covariance (n, 6, 6) of every frame that is
-    present;  noise : learned, of each interval"""
-
-    rotation: np.ndarray
-    translation: np.ndarray
-    covariance: np.ndarray
-    noise: list[list[float]]
 
 
 def solve_poses(
@@ -83,10 +72,12 @@ def solve_poses(
             " or none lasts for three frames",
             "are the marker's size and the camera calibration right, and of this clip?",
         )
-    smooth = smoothed(path, present, times, params.smoothing, sightings.common_px)
+    rotation, translation, covariance, noise = smoothed(
+        path, present, times, params.smoothing, sightings.common_px
+    )
     seen, on = path.observed, path.measured
     raw_px = rms_px(residuals(path.rotation, path.translation, seen), seen.weight)
-    smooth_px = rms_px(residuals(smooth.rotation, smooth.translation, seen), seen.weight)
+    smooth_px = rms_px(residuals(rotation, translation, seen), seen.weight)
     facts = []
     for k, r in enumerate(records):
         here = status[k] != ABSENT
@@ -98,9 +89,9 @@ def solve_poses(
                 r.time_s,
                 int(shot[k]),
                 status[k],
-                Pose(smooth.rotation[k], smooth.translation[k]) if here else None,
+                Pose(rotation[k], translation[k]) if here else None,
                 raw,
-                smooth.covariance[k] if here else None,
+                covariance[k] if here else None,
                 float(smooth_px[k]) if on[k] else None,
                 float(opacity[k]),
                 tuple(sightings.facts[k]),
@@ -116,11 +107,13 @@ def solve_poses(
         }
         static, evidence = decide_static(flow, poses, camera)
     again = [s.key for r in records for s in r.duplicates]
-    raw_errors = quantiles(raw_px[on])
     summary = figures(
         facts,
         keys,
-        reprojection_px={"raw": raw_errors, "smoothed": quantiles(smooth_px[on])},
+        reprojection_px={
+            "raw": quantiles(raw_px[on]),
+            "smoothed": quantiles(smooth_px[on]),
+        },
         pose_condition=quantiles(_conditions(path)),
         flips_resolved=path.flips,
         sigma_factor=sightings.sigma_factor,
@@ -128,24 +121,15 @@ def solve_poses(
         dropped=path.dropped,
         static_evidence=evidence,
         map={"given": marker_map is not None, **layout.to_json()},
-        motion_noise=smooth.noise,
+        motion_noise=noise,
     )
     usual_px = max(USUAL_PX, 1e-3 * max(camera.width, camera.height))
-    notices = _notices(
-        layout,
-        path,
-        again,
-        flickers=len(every) - len(present),
-        bridged=status.count(INTERPOLATED),
-        misfit_px=raw_errors["median"] or 0.0,
-        usual_px=usual_px,
-    )
     return Analysis(
         tuple(facts),
         layout.world_from_marker,
         static,
         summary,
-        notices,
+        _notices(summary, again, len(every) - len(present), usual_px),
         anchor_marker(markers, layout.world_from_marker),
     )
 
@@ -156,23 +140,26 @@ def smoothed(
     times_s: np.ndarray,
     strength: float,
     common_px: np.ndarray,
-) -> SmoothPath:
-    """The path over each interval of `present` frames; nothing where strength is 0.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[list[float]]]:
+    """The path over each interval of `present` frames, as it is where strength is 0: rotation
+    (n, 3, 3), translation (n, 3), covariance (n, 6, 6) of every frame that is present; the
+    noise learned of each interval.
 
     common_px : of Sightings"""
     rotation, translation = path.rotation.copy(), path.translation.copy()
     covariance = np.zeros((len(rotation), 6, 6))
     noise = []
-    for first, end in present:
-        at = np.arange(first, end)
+    for interval in present:
+        at = np.arange(*interval)
         on = at[path.measured[at]]
         # bridged frames start between their neighbours
-        for a, b in pairwise(on):
-            before, after = (Pose(rotation[k], translation[k]) for k in (a, b))
-            for k in range(a + 1, b):
-                share = (times_s[k] - times_s[a]) / (times_s[b] - times_s[a])
-                pose = before.towards(after, share)
-                rotation[k], translation[k] = pose.rotation, pose.translation_m
+        gap = at[~path.measured[at]]
+        after = np.searchsorted(on, gap)
+        a, b = on[after - 1], on[after]
+        share = (times_s[gap] - times_s[a]) / (times_s[b] - times_s[a])
+        poses = rotation, translation, covariance
+        start, end = ([part[k] for part in poses] for k in (a, b))
+        rotation[gap], translation[gap], _ = blended(start, end, share)
         part = path.observed.take(at)
         if strength > 0 and len(at) > 1:
             rotation[at], translation[at], covariance[at], learned = smooth_poses(
@@ -190,7 +177,7 @@ def smoothed(
         covariance[at] += np.stack(
             [np.interp(times_s[at], times_s[on], entry) for entry in common.T], -1
         ).reshape(-1, 6, 6)
-    return SmoothPath(rotation, translation, covariance, noise)
+    return rotation, translation, covariance, noise
 
 
 def _conditions(path: WorldPath) -> np.ndarray:
@@ -202,20 +189,17 @@ def _conditions(path: WorldPath) -> np.ndarray:
 
 
 def _notices(
-    layout: MarkerMap,
-    path: WorldPath,
-    again: Sequence[str],
-    flickers: int,
-    bridged: int,
-    misfit_px: float,
-    usual_px: float,
+    summary: Mapping[str, Any], again: Sequence[str], flickers: int, usual_px: float
 ) -> tuple[str, ...]:
     """again : keys of prints that were there twice, one each time"""
+    unmapped, dropped = summary["map"]["unmapped"], summary["dropped"]
+    bridged = summary["frames_interpolated"]
+    misfit_px = summary["reprojection_px"]["raw"]["median"] or 0.0
     notices = (
         (
-            layout.unmapped,
+            unmapped,
             "never seen together with a mapped marker, so not used:"
-            f" {', '.join(layout.unmapped)}",
+            f" {', '.join(unmapped)}",
         ),
         (flickers, f"{flickers} sightings of only one or two frames are not shown"),
         (
@@ -224,8 +208,8 @@ def _notices(
             f" {len(again)} times): the one that moves on from the frame before is followed",
         ),
         (
-            path.dropped,
-            f"{path.dropped} sightings contradict the other markers of their frame and"
+            dropped,
+            f"{dropped} sightings contradict the other markers of their frame and"
             " are not used",
         ),
         (bridged, f"{bridged} frames without a marker bridged"),

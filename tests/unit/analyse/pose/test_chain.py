@@ -9,7 +9,6 @@ from arfx.analyse.pose.chain import (
     DIM,
     Chain,
     covariances,
-    evidence,
     information_of_noise,
     least_density,
     smooth_chain,
@@ -92,6 +91,10 @@ def smoothed(seen: Chain, density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Means and covariances."""
     found = smooth_chain(seen, density)
     return found.mean, covariances(found.factor)
+
+
+def evidence(seen: Chain, density: np.ndarray) -> float:
+    return smooth_chain(seen, density).evidence
 
 
 def test_smoother_and_evidence_are_those_of_the_whole_problem() -> None:
