@@ -16,7 +16,7 @@ import numpy as np
 from arfx.core.model import Model, Part
 from arfx.core.opener import read_bytes
 from arfx.errors import ArfxError, InputError
-from arfx.media.gltf_parts import GltfScene
+from arfx.media.gltf_parts import gltf_meshes
 from arfx.media.model_files import DAMAGED, ModelFile
 from arfx.media.model_parts import Placed, part_of
 from arfx.media.obj_files import obj_meshes
@@ -89,7 +89,7 @@ def _kind(path: Path, data: bytes) -> str:
 
 def _read(file: ModelFile) -> list[Part]:
     readers: dict[str, Callable[[ModelFile], Iterable[Placed]]]
-    readers = {"glb": GltfScene, "gltf": GltfScene, "obj": obj_meshes}
+    readers = {"glb": gltf_meshes, "gltf": gltf_meshes, "obj": obj_meshes}
     placed, faces = [], 0
     for found in readers.get(file.kind, trimesh_meshes)(file):
         placed.append(found)
