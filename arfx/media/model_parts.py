@@ -3,7 +3,7 @@ format."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,19 +45,20 @@ def part_of(
     Raises InputError: faces of vertices that there are not, numbers that are not finite."""
     if not len(mesh.faces):
         return None
-    _check(mesh, model_from_mesh)
-    rows, faces, linear = _usable(mesh.rows), mesh.faces, model_from_mesh[:3, :3]
-    side = float(np.sign(np.linalg.det(linear))) or 1.0
+    rows, faces, linear = dict(mesh.rows), mesh.faces, model_from_mesh[:3, :3]
     rows["vertices"] = rows["vertices"] @ linear.T + model_from_mesh[:3, 3]
+    _check(rows["vertices"], faces)
+    rows = _usable(rows)
+    side = float(np.sign(np.linalg.det(linear))) or 1.0
     if side < 0:  # a mirror turns every triangle inside out
         faces = faces[:, ::-1]
     keep = _have_area(rows["vertices"], faces)
     faces = faces[keep]
     if not len(faces):
         return None
+    own = {}  # what corners have, whatever vertex they are of
     if mesh.face_colours is not None:
-        colours = np.repeat(mesh.face_colours[keep], 3, 0)
-        faces, rows = _split(faces, rows, "colours", colours)
+        own["colours"] = np.repeat(mesh.face_colours[keep], 3, 0)
     if "normals" in rows:
         # the inverse transpose turns normals rightly under any matrix; times the determinant
         # it is there for every one, and a mirror's turns them inwards
@@ -69,35 +70,29 @@ def part_of(
         if len(rows) == 1:  # nothing else keeps vertices at one place apart
             first, number = same_rows(rows["vertices"])
             rows, faces = {"vertices": rows["vertices"][first]}, number[faces]
-        normals = corner_normals(rows["vertices"], faces)
-        faces, rows = _split(faces, rows, "normals", normals)
-    texture = material.normal_texture or material.clearcoat_normal_texture
-    part = Part(faces=faces, material=material, **rows)
-    uv = None if texture is None else part.uv_on(texture)
-    if uv is None:
-        rows.pop("tangents", None)
-    elif "tangents" in rows:
+        own["normals"] = corner_normals(rows["vertices"], faces)
+    if "tangents" in rows:
         along = normalise(rows["tangents"][:, :3] @ linear.T)
         signs = side * np.sign(rows["tangents"][:, 3])
         rows["tangents"] = np.column_stack([along, signs])
-    else:
-        tangents = corner_tangents(rows["vertices"], faces, rows["normals"], uv)
-        faces, rows = _split(faces, rows, "tangents", tangents)
-    used, number = np.unique(faces, return_inverse=True)
-    rows = {name: values[used] for name, values in rows.items()}
-    faces = number.reshape(-1, 3).astype(np.int32)
-    return Part(faces=faces, material=material, **rows)
+    part = _indexed(faces, rows, own, material)
+    texture = material.normal_texture or material.clearcoat_normal_texture
+    uv = None if texture is None else part.uv_on(texture)
+    if uv is None:
+        return replace(part, tangents=None)
+    if part.tangents is not None:
+        return part
+    tangents = corner_tangents(part.vertices, part.faces, part.normals, uv)
+    return _indexed(faces, rows, own | {"tangents": tangents}, material)
 
 
-def _check(mesh: FileMesh, model_from_mesh: np.ndarray) -> None:
-    given, faces = mesh.rows["vertices"], mesh.faces
-    if faces.min() < 0 or faces.max() >= len(given):
-        what = f"faces refer to vertex {faces.max()}, there are {len(given)}"
+def _check(vertices: np.ndarray, faces: np.ndarray) -> None:
+    count = len(vertices)
+    if not 0 <= faces.min() <= faces.max() < count:
+        what = f"faces refer to vertex {faces.max()}, there are {count}"
         raise InputError(what, "the file is damaged")
-    if not np.isfinite(model_from_mesh).all():
-        raise InputError("a node's transform is not finite")
-    if bad := int((~np.isfinite(given)).any(1).sum()):
-        what = f"{bad} of {len(given)} vertices are not finite numbers"
+    if bad := int((~np.isfinite(vertices)).any(1).sum()):
+        what = f"{bad} of {count} vertices are not finite numbers"
         raise InputError(what, "export it again; look for NaN or inf")
 
 
@@ -119,11 +114,18 @@ def _have_area(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.asarray((np.cross(b - a, c - a) ** 2).sum(1) > _DEGENERATE * extent**4)
 
 
-def _split(
-    faces: np.ndarray, rows: dict[str, np.ndarray], name: str, values: np.ndarray
-) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Faces and rows of vertices of which each has one of the values (3 m, k) of its corners."""
+def _indexed(
+    faces: np.ndarray,
+    rows: dict[str, np.ndarray],
+    own: dict[str, np.ndarray],
+    material: Material,
+) -> Part:
+    """Of those vertices that faces use, once for all corners that have the same of their own.
+
+    rows : (n, k) of vertices;  own : (3 m, k) of the corners of faces (m, 3)"""
     corners = faces.ravel()
-    first, number = same_rows(np.column_stack([corners, values]))
-    rows = {name: given[corners[first]] for name, given in rows.items()}
-    return number.reshape(-1, 3), rows | {name: values[first]}
+    first, number = same_rows(np.column_stack([corners, *own.values()]))
+    shared = {name: values[corners[first]] for name, values in rows.items()}
+    split = {name: values[first] for name, values in own.items()}
+    numbers = number.reshape(-1, 3).astype(np.int32)
+    return Part(faces=numbers, material=material, **(shared | split))

@@ -7,7 +7,6 @@ repaired is in `Model.notices`. Leaves out: skins, animation, morph targets, lin
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from arfx.core.opener import read_bytes
 from arfx.errors import ArfxError, InputError
 from arfx.media.gltf_parts import gltf_meshes
 from arfx.media.model_files import DAMAGED, ModelFile
-from arfx.media.model_parts import Placed, part_of
+from arfx.media.model_parts import part_of
 from arfx.media.obj_files import obj_meshes
 from arfx.media.trimesh_models import trimesh_meshes
 
@@ -88,7 +87,6 @@ def _kind(path: Path, data: bytes) -> str:
 
 
 def _read(file: ModelFile) -> list[Part]:
-    readers: dict[str, Callable[[ModelFile], Iterable[Placed]]]
     readers = {"glb": gltf_meshes, "gltf": gltf_meshes, "obj": obj_meshes}
     placed, faces = [], 0
     for found in readers.get(file.kind, trimesh_meshes)(file):
