@@ -8,6 +8,7 @@ map_Bump is a normal map where it has colours. Leaves out: `Tr`, of which export
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -48,10 +49,9 @@ def mtl_material(
         left_out[f"grey heights of {m.stated[bumps][0]}"] = None
         normal = None
     display = m.colour("kd", _GREY if base is None else 1.0)
-    red, green, blue = SRGB.decode(np.clip(display, 0, 1)).tolist()
-    alpha, sheen = (
-        min(max(m.number(k, d), 0.0), 1.0) for k, d in (("d", 1.0), ("ps", 0.0))
-    )
+    shares = np.clip([*display, m.number("d", 1.0), m.number("ps", 0.0)], 0, 1)
+    red, green, blue = SRGB.decode(shares[:3]).tolist()
+    alpha, sheen = shares[3:].tolist()
     shine = 2.0 / (max(m.number("ns", 0.0), 0.0) + 2.0)
     material = Material(
         name=name,
@@ -84,8 +84,9 @@ class _Statements:
     ) -> None:
         self._file, self._left_out = file, left_out
         rows = (row for line in lines if len(row := line.split(None, 1)) == 2)
-        self.stated = {key.lower(): (key, value.strip()) for key, value in rows}
-        base = self.stated.get("map_kd", ("", ""))[1]
+        self.stated = defaultdict(lambda: ("", ""))
+        self.stated.update((key.lower(), (key, value.strip())) for key, value in rows)
+        base = self.stated["map_kd"][1]
         for key, (written, value) in self.stated.items():
             unread = key.startswith(_OTHER_MAPS) and key not in _MAPS
             if unread and not (key == "map_ka" and value == base):
@@ -93,7 +94,7 @@ class _Statements:
 
     def _numbers(self, key: str) -> list[float]:
         """[] where it is not stated, or no number."""
-        written, value = self.stated.get(key, ("", ""))
+        written, value = self.stated[key]
         value = value.split("#")[0].strip().removeprefix("-halo").strip()
         out = numbers(value.split())
         if value and not out:
@@ -110,11 +111,11 @@ class _Statements:
 
     def options(self, key: str, option: str) -> list[float]:
         """Numbers of an option of a map."""
-        return numbers(_options(self.stated.get(key, ("", ""))[1])[0].get(option, []))
+        return numbers(_options(self.stated[key][1])[0].get(option, []))
 
     def texture(self, key: str) -> Texture | None:
         """`map_Kd -s 2 2 -o .5 0 name of a file.png`. Raises InputError."""
-        written, value = self.stated.get(key, ("", ""))
+        written, value = self.stated[key]
         options, name = _options(value)
         for option, words in options.items():
             if option not in _READ and words[:1] != ["off"]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from arfx.core.model import Material
 from arfx.errors import InputError
-from arfx.media.model_files import DAMAGED, MAX_FACES, ModelFile
+from arfx.media.model_files import ModelFile
 from arfx.media.model_materials import linear_colours, plain_material
 from arfx.media.model_parts import FileMesh, Placed
 from arfx.media.mtl_files import mtl_material
@@ -42,22 +42,17 @@ def obj_meshes(file: ModelFile) -> Iterator[Placed]:
     rows: dict[str, list[str]] = {"v": [], "vt": [], "vn": [], "mtllib": []}
     faces_of: dict[str, list[str]] = {}
     faces = faces_of.setdefault("", [])
-    read = 0
     text = re.sub(r"\\\r?\n", " ", decoded(file.data)).replace("\t", " ")
-    for line in io.StringIO(text, newline=None):
+    for number, line in enumerate(io.StringIO(text, newline=None)):
+        file.check_counts(number // 10, len(faces_of) - 1)  # v, vt, vn thrice each
         kind, _, rest = line.strip().partition(" ")
         if kind == "f":
-            read += 1
-            file.check_counts(read)
             faces.append(rest)
         elif kind in rows:
             rows[kind].append(rest)
-            if len(rows[kind]) > 3 * MAX_FACES:
-                what = f"it holds more than {3 * MAX_FACES} lines of {kind}"
-                raise InputError(what, DAMAGED)
         elif kind == "usemtl":
             faces = faces_of.setdefault(_key(rest), [])
-            file.check_counts(read, len(faces_of) - 1)
+    file.check_counts(sum(map(len, faces_of.values())))
     materials = _materials(file, rows["mtllib"], list(faces_of)[1:])
     places = _table(rows["v"], 6)
     # By what FileMesh calls them, and their number's place in a corner; v counts from the bottom.
@@ -118,12 +113,10 @@ def _materials(file: ModelFile, lists: list[str], used: list[str]) -> dict[str, 
 
 def _names(file: ModelFile, line: str) -> list[str]:
     """Of a line of mtllib: one name with blanks, or several."""
-    several = [quoted or plain for quoted, plain in _FILE.findall(line)]
-    if len(several) > 1:
-        with contextlib.suppress(InputError):
-            file.find(line)
-            return [line]
-    return several
+    with contextlib.suppress(InputError):
+        file.find(line)
+        return [line]
+    return [quoted or plain for quoted, plain in _FILE.findall(line)]
 
 
 def _key(name: str) -> str:
