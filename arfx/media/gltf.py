@@ -12,7 +12,7 @@ import numpy as np
 from arfx.core.opener import parse_json
 from arfx.errors import InputError
 from arfx.media.model_files import DAMAGED, ModelFile
-from arfx.media.model_materials import shares
+from arfx.media.model_parts import shares
 
 # What is done with each extension: "" = read, else what will be missing where it is only used.
 # Those that are not in the table, or not read, must not be in extensionsRequired.

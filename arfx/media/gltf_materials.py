@@ -11,7 +11,7 @@ import numpy as np
 
 from arfx.core.model import CLAMP, MIRROR, OPAQUE, REPEAT, Material, Texture
 from arfx.media.gltf import Gltf
-from arfx.media.model_materials import checked, resized
+from arfx.media.model_parts import checked, resized
 
 _WRAPS = {33071: CLAMP, 33648: MIRROR}
 _NEAREST = 9728
@@ -132,7 +132,7 @@ def _metallic(gltf: Gltf, given: dict[str, Any]) -> dict[str, Any]:
         texels = {
             k: Image.fromarray(p[rows]) for k, p in zip(keys, pictures, strict=True)
         }
-        found = specular_to_pbr(**factors, **texels)
+        found = specular_to_pbr(**(factors | texels))
         base[rows] = found["baseColorTexture"]
         rough[rows, :, 1:3] = np.array(found["metallicRoughnessTexture"])[..., 1:]
     return {
@@ -161,7 +161,7 @@ def _texture(gltf: Gltf, slot: dict[str, Any] | None) -> Texture | None:
         what = "left out a texture laid by a third set of coordinates"
         gltf.file.notices.append(what)
         return None
-    sampler = {}
+    sampler: dict[str, Any] = {}
     if "sampler" in texture:
         sampler = gltf.header["samplers"][texture["sampler"]]
     across, down = (_WRAPS.get(sampler.get(k), REPEAT) for k in ("wrapS", "wrapT"))

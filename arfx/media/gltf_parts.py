@@ -16,8 +16,7 @@ from arfx.errors import InputError
 from arfx.media.gltf import Gltf
 from arfx.media.gltf_materials import gltf_material
 from arfx.media.model_files import NO_TRIANGLES, ModelFile
-from arfx.media.model_materials import plain_material, unit_colours
-from arfx.media.model_parts import FileMesh, Placed
+from arfx.media.model_parts import FileMesh, Placed, plain_material, unit_colours
 
 _TRIANGLES, _STRIP = 4, 5
 _ROWS = {

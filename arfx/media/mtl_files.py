@@ -17,7 +17,7 @@ import numpy as np
 from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, CLAMP, OPAQUE, REPEAT, Material, Texture
 from arfx.media.model_files import ModelFile
-from arfx.media.model_materials import checked, resized
+from arfx.media.model_parts import checked, resized
 
 # Options of maps and how many values they take at most; those that are read, or change nothing.
 _OPTIONS = dict.fromkeys(
@@ -84,7 +84,7 @@ class _Statements:
     ) -> None:
         self._file, self._left_out = file, left_out
         rows = (row for line in lines if len(row := line.split(None, 1)) == 2)
-        self.stated = defaultdict(lambda: ("", ""))
+        self.stated: dict[str, tuple[str, str]] = defaultdict(lambda: ("", ""))
         self.stated.update((key.lower(), (key, value.strip())) for key, value in rows)
         base = self.stated["map_kd"][1]
         for key, (written, value) in self.stated.items():

@@ -17,8 +17,7 @@ import numpy as np
 from arfx.core.model import Material
 from arfx.errors import InputError
 from arfx.media.model_files import ModelFile
-from arfx.media.model_materials import linear_colours, plain_material
-from arfx.media.model_parts import FileMesh, Placed
+from arfx.media.model_parts import FileMesh, Placed, linear_colours, plain_material
 from arfx.media.mtl_files import mtl_material
 
 _FILE = re.compile(r'"([^"]+)"|(\S.*?\.mtl(?=\s|$)|\S+)', re.IGNORECASE)
