@@ -164,7 +164,7 @@ def _texture(gltf: Gltf, slot: dict[str, Any] | None) -> Texture | None:
     sampler: dict[str, Any] = {}
     if "sampler" in texture:
         sampler = gltf.header["samplers"][texture["sampler"]]
-    across, down = (_WRAPS.get(sampler.get(k), REPEAT) for k in ("wrapS", "wrapT"))
+    across, down = (_WRAPS.get(sampler.get(k, 0), REPEAT) for k in ("wrapS", "wrapT"))
     nearest = sampler.get("magFilter") == _NEAREST
     return Texture(picture, uv_set, _picture_from_uv(change), (across, down), nearest)
 
