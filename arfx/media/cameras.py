@@ -23,31 +23,15 @@ import yaml
 from arfx.core.camera import BROWN, FISHEYE, Camera
 from arfx.core.guard import atomic_write
 from arfx.errors import InputError
-from arfx.media.camera_documents import CameraFileError, number, numbers, read_document
-
-# Every name that the formats give to the same thing, lower case, without underscores.
-MATRIX_NAMES = ("cameramatrix", "cameraintrinsics", "intrinsicmatrix", "k", "mtx")
-DISTORTION_NAMES = (
-    "distortioncoefficients",
-    "distcoeffs",
-    "distcoefs",
-    "distortioncoeffs",
-    "distortion",
-    "dist",
-    "d",
+from arfx.media.camera_documents import (
+    TABLES,
+    CameraFileError,
+    number,
+    numbers,
+    read_document,
 )
-SIZE_NAMES = ("imagesize", "imgsize", "resolution", "size")
-SIDE_NAMES = ("imagewidth", "width", "w"), ("imageheight", "height", "h")
-MODEL_NAMES = ("distortionmodel", "cameramodel", "model")
-FISHEYE_WORDS = {
-    *("fisheye", "equidistant", "kannala_brandt", "kannalabrandt", "kb4"),
-    *("opencv_fisheye", "simple_radial_fisheye", "radial_fisheye"),  # of COLMAP
-}
-BROWN_WORDS = {
-    *("pinhole", "plumb_bob", "radtan", "rational_polynomial", "brown", "opencv", "none"),
-    *("brown_conrady", "thin_prism", "rational", "radial", "perspective"),
-    *("simple_pinhole", "simple_radial", "full_opencv"),  # of COLMAP
-}
+
+_NAMES, _LENSES = TABLES["names"], TABLES["lenses"]
 _SHAPE = "fx 0 cx / 0 fy cy / 0 0 1, row by row"
 _LARGEST_PX = 65536
 
@@ -87,16 +71,18 @@ def load_camera(path: str | Path) -> Camera:
 def _from_names(document: Mapping[str, Any], where: str) -> Camera:
     """The same things under different names. Raises CameraFileError, InputError."""
     flat = _flat(document)
-    words = [_first(flat, MODEL_NAMES)]
+    words = [_first(flat, _NAMES["model"])]
     if "intrinsics" in flat:  # Kalibr names projection and distortion
         words.append(flat.get("cameramodel"))
     models = {str(word).lower() for word in words if word}
-    if unknown := models - FISHEYE_WORDS - BROWN_WORDS:
+    if unknown := models.difference(*_LENSES.values()):
         what = f"lens model {' '.join(unknown)!r} is not supported"
         raise CameraFileError(what, "plumb_bob, rational_polynomial, equidistant")
     # OpenCV's calibration sample marks a fisheye calibration with `fisheye_model: 1`
-    fisheye = models & FISHEYE_WORDS or str(flat.get("fisheyemodel", 0)) == "1"
-    matrix = numbers(_first(flat, MATRIX_NAMES), "the camera matrix")
+    fisheye = (
+        models.intersection(_LENSES["fisheye"]) or str(flat.get("fisheyemodel", 0)) == "1"
+    )
+    matrix = numbers(_first(flat, _NAMES["matrix"]), "the camera matrix")
     single = flat.get("intrinsics")
     if {"fx", "fy"} <= flat.keys():
         cx, cy = ((side - 1) / 2 for side in _size(flat))
@@ -113,7 +99,7 @@ def _from_names(document: Mapping[str, Any], where: str) -> Camera:
         raise CameraFileError(
             f"the camera matrix has {matrix.size} numbers", "9, row by row"
         )
-    lens = numbers(_first(flat, DISTORTION_NAMES), "the distortion coefficients")
+    lens = numbers(_first(flat, _NAMES["distortion"]), "the distortion coefficients")
     if fisheye and not lens[4:].any():
         lens = lens[:4]
     if 0 < lens.size < 4:  # "k1" or "k1, k2": the rest is zero
@@ -123,11 +109,11 @@ def _from_names(document: Mapping[str, Any], where: str) -> Camera:
 
 
 def _size(flat: Mapping[str, Any]) -> tuple[int, int]:
-    stated = _first(flat, SIZE_NAMES)
+    stated = _first(flat, _NAMES["size"])
     if isinstance(stated, Mapping):
         stated = [stated.get("width"), stated.get("height")]
     if not isinstance(stated, list) or len(stated) != 2:
-        stated = [_first(flat, names) for names in SIDE_NAMES]
+        stated = [_first(flat, names) for names in _NAMES["sides"]]
     if None in stated:
         hint = (
             'add "image_width": 1920, "image_height": 1080; in YAML without quotation'

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import base64
 import struct
+import tomllib
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,41 +16,8 @@ from arfx.errors import InputError
 from arfx.media.model_files import DAMAGED, ModelFile
 from arfx.media.model_parts import shares
 
-# What is done with each extension: "" = read, else what will be missing where it is only used.
-# Those that are not in the table, or not read, must not be in extensionsRequired.
-_EXTENSIONS = {
-    "KHR_materials_emissive_strength": "",
-    "KHR_materials_ior": "",
-    "KHR_materials_specular": "",
-    "EXT_texture_webp": "",
-    "KHR_xmp_json_ld": "",
-    "KHR_lights_punctual": "its lamps: the clip's own light is used",
-    "KHR_materials_variants": "its variants: the default one is shown",
-    "KHR_materials_clearcoat": "",
-    "KHR_materials_transmission": "transmission: glass looks solid",
-    "KHR_materials_volume": "colour by depth of glass",
-    "KHR_materials_sheen": "",
-    "KHR_materials_iridescence": "iridescence",
-    "KHR_materials_anisotropy": "anisotropic highlights",
-    "KHR_materials_dispersion": "dispersion",
-    "KHR_materials_unlit": "",
-    "KHR_materials_pbrSpecularGlossiness": "",
-    "KHR_mesh_quantization": "",
-    "KHR_texture_transform": "",
-    "KHR_node_visibility": "",
-    "EXT_mesh_gpu_instancing": "",
-    "KHR_animation_pointer": "animation",
-    "KHR_texture_basisu": "textures in the KTX2 format",
-}
+TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
 _CONVERT = "npx @gltf-transform/cli"
-_CONVERTERS = {
-    "KHR_draco_mesh_compression": "copy",
-    "EXT_meshopt_compression": "copy",
-    "KHR_texture_basisu": "ktxdecompress",
-    "EXT_texture_avif": "png",
-}
-
-
 _SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 
@@ -135,13 +104,13 @@ def _check(header: dict[str, Any], file: ModelFile) -> None:
         hint = "export it again as glTF 2.0; Blender and `npx gltf-pipeline -i OLD -o NEW` do"
         raise InputError(f"it is glTF {version[:20]}, glTF 2.0 is read", hint)
     for name in header.get("extensionsRequired", []):
-        if _EXTENSIONS.get(name) != "":
+        if TABLES["extensions"].get(name) != "":
             hint = "export it without"
-            if name in _CONVERTERS:
-                hint += f": {_CONVERT} {_CONVERTERS[name]} {file.path.name} NEW.glb"
+            if command := TABLES["converters"].get(name):
+                hint += f": {_CONVERT} {command} {file.path.name} NEW.glb"
             raise InputError(f"it requires {name[:80]}, which is not read", hint)
     for name in header.get("extensionsUsed", []):
-        if text := _EXTENSIONS.get(name, "an extension that is not read"):
+        if text := TABLES["extensions"].get(name, "an extension that is not read"):
             file.notices.append(f"left out {text} ({name[:80]})")
     at_rest = [key for key in ("animations", "skins") if header.get(key)]
     if any("targets" in p for m in header.get("meshes", []) for p in m["primitives"]):

@@ -10,43 +10,13 @@ from typing import Any
 import numpy as np
 
 from arfx.core.model import CLAMP, MIRROR, OPAQUE, REPEAT, Material, Texture
-from arfx.media.gltf import Gltf
+from arfx.media.gltf import TABLES, Gltf
 from arfx.media.model_parts import checked, resized
 
 _WRAPS = {33071: CLAMP, 33648: MIRROR}
 _NEAREST = 9728
 _ROWS = 256  # of a picture, worked on at a time
 _DIELECTRIC = 0.04  # reflected by what is no metal
-_COAT = "extensions/KHR_materials_clearcoat/clearcoat"
-_SHEEN = "extensions/KHR_materials_sheen/sheen"
-# Fields of Material, and where a glTF material holds them.
-_TEXTURES = {
-    "base_texture": "pbrMetallicRoughness/baseColorTexture",
-    "metallic_roughness_texture": "pbrMetallicRoughness/metallicRoughnessTexture",
-    "emissive_texture": "emissiveTexture",
-    "normal_texture": "normalTexture",
-    "occlusion_texture": "occlusionTexture",
-    "clearcoat_texture": f"{_COAT}Texture",
-    "clearcoat_roughness_texture": f"{_COAT}RoughnessTexture",
-    "clearcoat_normal_texture": f"{_COAT}NormalTexture",
-    "sheen_colour_texture": f"{_SHEEN}ColorTexture",
-    "sheen_roughness_texture": f"{_SHEEN}RoughnessTexture",
-}
-# With the default.
-_FACTORS: dict[str, tuple[str, float | tuple[float, ...]]] = {
-    "base_colour": ("pbrMetallicRoughness/baseColorFactor", (1.0, 1.0, 1.0, 1.0)),
-    "metallic": ("pbrMetallicRoughness/metallicFactor", 1.0),
-    "roughness": ("pbrMetallicRoughness/roughnessFactor", 1.0),
-    "emissive": ("emissiveFactor", (0.0, 0.0, 0.0)),
-    "clearcoat": (f"{_COAT}Factor", 0.0),
-    "clearcoat_roughness": (f"{_COAT}RoughnessFactor", 0.0),
-    "sheen_colour": (f"{_SHEEN}ColorFactor", (0.0, 0.0, 0.0)),
-    "sheen_roughness": (f"{_SHEEN}RoughnessFactor", 0.0),
-    "normal_scale": ("normalTexture/scale", 1.0),
-    "occlusion_strength": ("occlusionTexture/strength", 1.0),
-    "clearcoat_normal_scale": (f"{_COAT}NormalTexture/scale", 1.0),
-    "alpha_cutoff": ("alphaCutoff", 0.5),
-}
 _TINTS = ("specularTexture", "specularColorTexture", "specularColorFactor")
 
 
@@ -57,10 +27,11 @@ def gltf_material(gltf: Gltf, number: int, coloured: bool) -> Material:
     given, notices = gltf.header["materials"][number], gltf.file.notices
     extensions = given.get("extensions", {})
     fields: dict[str, Any] = {
-        name: _texture(gltf, _stated(given, path)) for name, path in _TEXTURES.items()
+        name: _texture(gltf, _stated(given, path))
+        for name, path in TABLES["textures"].items()
     }
-    for name, (path, default) in _FACTORS.items():
-        value, several = _stated(given, path, default), isinstance(default, tuple)
+    for name, (path, default) in TABLES["factors"].items():
+        value, several = _stated(given, path, default), isinstance(default, list)
         fields[name] = tuple(map(float, value)) if several else float(value)
     if (glossy := extensions.get("KHR_materials_pbrSpecularGlossiness")) is not None:
         fields |= _metallic(gltf, glossy)
