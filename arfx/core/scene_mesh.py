@@ -95,26 +95,28 @@ def flatten(model: Model, world_from_model: np.ndarray) -> SceneMesh:
     linear, shift_m = world_from_model[:3, :3], world_from_model[:3, 3]
     rotation = linear / np.cbrt(abs(np.linalg.det(linear)))
     parts = model.parts
-    counts = [len(p.vertices) for p in parts]
-    starts = np.cumsum([0, *counts[:-1]])
+    starts = np.cumsum([0, *(len(p.vertices) for p in parts)])
     centre = model.bounds.mean(0) @ linear.T + shift_m
     vertices = np.concatenate([p.vertices @ linear.T + shift_m - centre for p in parts])
-    faces = np.concatenate(
-        [p.faces + start for p, start in zip(parts, starts, strict=True)]
-    )
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    first_uv = _rows([p.uv for p in parts], np.zeros(2), counts)
-    second_uv = _rows([p.second_uv for p in parts], np.zeros(2), counts)
-    tangents = _rows([p.tangents for p in parts], np.zeros(4), counts)
+    faces = np.concatenate([p.faces + n for p, n in zip(parts, starts, strict=False)])
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+
+    def rows(name: str, otherwise: np.ndarray) -> np.ndarray:
+        """Of all parts end to end; `otherwise` for each vertex of a part that has none."""
+        given = [(getattr(p, name), len(p.vertices)) for p in parts]
+        return np.concatenate(
+            [np.tile(otherwise, (n, 1)) if own is None else own for own, n in given]
+        )
+
+    none = np.zeros(2)
+    tangents = rows("tangents", np.zeros(4))
     tangents[:, :3] = tangents[:, :3] @ rotation.T
     return SceneMesh(
         centre_m=centre,
         vertices=vertices,
-        normals=np.concatenate([p.normals @ rotation.T for p in parts]).astype(
-            np.float32
-        ),
-        colours=_rows([p.colours for p in parts], np.ones(4), counts).astype(np.float32),
-        uv=np.column_stack([first_uv, second_uv]).astype(np.float32),
+        normals=(rows("normals", np.zeros(3)) @ rotation.T).astype(np.float32),
+        colours=rows("colours", np.ones(4)).astype(np.float32),
+        uv=np.column_stack([rows("uv", none), rows("second_uv", none)]).astype("f4"),
         has_uv=np.array([(p.uv is not None, p.second_uv is not None) for p in parts]),
         tangents=tangents.astype(np.float32),
         faces=faces.astype(np.int32),
@@ -127,24 +129,14 @@ def flatten(model: Model, world_from_model: np.ndarray) -> SceneMesh:
     )
 
 
-def _rows(
-    given: list[np.ndarray | None], otherwise: np.ndarray, counts: list[int]
-) -> np.ndarray:
-    """Rows of all parts end to end; `otherwise` for each vertex of a part that has none."""
-    rows = [
-        np.tile(otherwise, (count, 1)) if own is None else own
-        for own, count in zip(given, counts, strict=True)
-    ]
-    return np.concatenate(rows)
-
-
 def _edges(mesh: SceneMesh) -> Edges:
     first, position = same_rows(mesh.vertices.astype(np.float32))
     corner = position[mesh.faces]
-    ends = np.concatenate([corner[:, [0, 1]], corner[:, [1, 2]], corner[:, [2, 0]]])
+    # from first corners to second ones, from second to third, from third to first
+    ends = np.stack([corner, np.roll(corner, -1, 1)]).T.reshape(-1, 2)
     ends = np.sort(ends, axis=1)
     owner = np.tile(np.arange(len(mesh.faces)), 3)
-    order = np.lexsort((ends[:, 1], ends[:, 0]))
+    order = np.lexsort(ends.T[::-1])
     ends, owner = ends[order], owner[order]
     new = np.r_[True, (ends[1:] != ends[:-1]).any(1)]
     start = np.flatnonzero(new)
