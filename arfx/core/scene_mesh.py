@@ -136,18 +136,16 @@ def _edges(mesh: SceneMesh) -> Edges:
     ends = np.stack([corner, np.roll(corner, -1, 1)]).T.reshape(-1, 2)
     ends = np.sort(ends, axis=1)
     owner = np.tile(np.arange(len(mesh.faces)), 3)
-    order = np.lexsort(ends.T[::-1])
-    ends, owner = ends[order], owner[order]
-    new = np.r_[True, (ends[1:] != ends[:-1]).any(1)]
-    start = np.flatnonzero(new)
-    count = np.diff(np.r_[start, len(ends)])
-    pair = start[count == 2]
-    a, b = owner[pair], owner[pair + 1]
+    one, edge = same_rows(ends)
+    other = one.copy()
+    other[edge] = np.arange(len(edge))  # the last of each
+    count = np.bincount(edge)
+    a, b = owner[one[count == 2]], owner[other[count == 2]]
     flat = (mesh.face_normal[a] * mesh.face_normal[b]).sum(1) > _CREASE_COS
-    alone = np.flatnonzero(np.repeat(count != 2, count))
-    sides = np.concatenate(
-        [np.stack([a, b], 1), np.stack([owner[alone], np.full(len(alone), -1)], 1)]
-    )
+    order = np.argsort(edge, kind="stable")
+    alone = order[count[edge[order]] != 2]
+    single = np.stack([owner[alone], np.full(len(alone), -1)], 1)
+    sides = np.concatenate([np.stack([a, b], 1), single])
     sharp = np.r_[~flat | (mesh.part[a] != mesh.part[b]), np.ones(len(alone), bool)]
-    vertices = first[ends[np.r_[pair, alone]]]
+    vertices = first[ends[np.r_[one[count == 2], alone]]]
     return Edges(vertices.astype(np.int32), sides.astype(np.int32), sharp)

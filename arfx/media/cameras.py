@@ -13,7 +13,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,6 @@ from arfx.media.camera_documents import (
 
 _NAMES, _LENSES = TABLES["names"], TABLES["lenses"]
 _SHAPE = "fx 0 cx / 0 fy cy / 0 0 1, row by row"
-_LARGEST_PX = 65536
 
 
 def load_camera(path: str | Path) -> Camera:
@@ -189,20 +188,15 @@ def _check(camera: Camera) -> None:
             numbers = " ".join(f"{v:g}" for v in row)
             hint = f"{_SHAPE}, not the transposed, and without skew"
             raise CameraFileError(f"the camera matrix's {name} row is {numbers}", hint)
-    for value, (low, high), _, what, hint, _ in _measures(camera):
-        if not low <= value <= high:
-            raise CameraFileError(what, hint)
+    for what, hint in _outside(camera, "may", "what", "hint"):
+        raise CameraFileError(what, hint)
 
 
 def camera_warnings(camera: Camera, claims: Mapping[str, Any]) -> list[str]:
     """Notices of what is unusual and may be meant, and of what a calibration admits of itself.
 
     claims : as of `calibration_claims`"""
-    doubts = {
-        doubt: None
-        for value, _, (low, high), _, _, doubt in _measures(camera)
-        if not low <= value <= high
-    }
+    doubts = dict.fromkeys(text for (text,) in _outside(camera, "usual", "doubt"))
     if claims.get("verdict") == "poor":
         why = "".join(f" ({str(r)[:200]})" for r in claims.get("reasons", ())[:1])
         text = f"its own verdict is poor{why}: sizes and perspective may be off"
@@ -210,52 +204,20 @@ def camera_warnings(camera: Camera, claims: Mapping[str, Any]) -> list[str]:
     return [f"camera calibration {camera.source}: {text}" for text in doubts]
 
 
-def _measures(camera: Camera) -> Iterator[tuple[Any, ...]]:
-    """Of each number its value; between what it may be, and what it usually is; of the first
-    what is wrong and what would be right, of the second what to doubt."""
-    size, side = (camera.width, camera.height), max(camera.width, camera.height)
-    wide = f"{camera.width}x{camera.height}"
-    may = (1, _LARGEST_PX)
-    yield side, may, may, f"a picture of {wide}", f"at most {_LARGEST_PX} px a side", ""
-    for name, focal in (("fx", camera.fx), ("fy", camera.fy)):
-        yield (
-            focal / side,
-            (0.02, 2000.0),  # 175 degrees of view, a hundredth of a degree
-            (0.15, 100.0),
-            f"{name} is {focal:g} px for a picture of {wide}",
-            f"a focal length in pixels, often about {side}",
-            f"a focal length of {camera.fx:g} px is unusual for {wide}",
-        )
-    both = f"fx {camera.fx:g} and fy {camera.fy:g}"
-    yield (
-        camera.fx / camera.fy,
-        (0.1, 10.0),
-        (1 / 1.5, 1.5),  # anamorphic video reaches 2
-        f"{both} are far apart",
-        "pixels are nearly square",
-        f"{both} px differ much: are the pixels that oblong?",
-    )
-    at = f"the principal point {camera.cx:g}, {camera.cy:g} lies"
-    for share in camera.matrix[:2, 2] / size:
-        yield (
-            share,
-            (-5.0, 6.0),
-            (0.0, 1.0),
-            f"{at} far outside the picture",
-            f"near the middle of {wide}",
-            f"{at} outside the picture: is it a crop?",
-        )
-    x, y = np.meshgrid(*(np.linspace(0, n - 1, 17) for n in size))
+def _outside(camera: Camera, bounds: str, *texts: str) -> list[list[str]]:
+    """Texts of those rules of the table whose bounds ("may" or "usual") a camera is outside of."""
+    size = np.array([camera.width, camera.height])
+    grid = np.meshgrid(*(np.linspace(0, n - 1, 17) for n in size))
     with np.errstate(all="ignore"):
-        seen = np.isfinite(camera.normalised(np.stack([x, y], -1))).all(-1).mean()
-    yield (
-        seen,
-        (0.05, 1.0),
-        (0.5, 1.0),  # a full circle of a fisheye lens has 0.55
-        "with its distortion almost no pixel has a viewing direction",
-        "calibrate again",
-        f"the distortion holds for {seen:.0%} of the picture only",
-    )
+        seen = np.isfinite(camera.normalised(np.stack(grid, -1))).all(-1).mean()
+    fx, fy, side = camera.fx, camera.fy, size.max()
+    cx, cy = camera.matrix[:2, 2] / size
+    shares = (side, fx / side, fy / side, fx / fy, cx, cy, seen)
+    return [
+        [rule[text].format(c=camera, side=side, seen=seen) for text in texts]
+        for rule, share in zip(TABLES["rules"], shares, strict=True)
+        if not rule[bounds][0] <= share <= rule[bounds][1]
+    ]
 
 
 def calibration_claims(path: str | Path) -> dict[str, Any]:

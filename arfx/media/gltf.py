@@ -5,18 +5,15 @@ from __future__ import annotations
 
 import base64
 import struct
-import tomllib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from arfx.core.opener import parse_json
 from arfx.errors import InputError
-from arfx.media.model_files import DAMAGED, ModelFile
+from arfx.media.model_files import DAMAGED, TABLES, ModelFile
 from arfx.media.model_parts import shares
 
-TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
 _CONVERT = "npx @gltf-transform/cli"
 _SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from arfx.core.model import CLAMP, MIRROR, OPAQUE, REPEAT, Material, Texture
-from arfx.media.gltf import TABLES, Gltf
+from arfx.media.gltf import Gltf
+from arfx.media.model_files import TABLES
 from arfx.media.model_parts import checked, resized
 
 _WRAPS = {33071: CLAMP, 33648: MIRROR}

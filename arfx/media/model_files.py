@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import tomllib
 import unicodedata
 from collections.abc import Callable
 from pathlib import Path
@@ -26,6 +27,7 @@ MAX_PARTS = 10_000
 MAX_TEXELS = 8192**2 + 2 * 4096**2
 # An 8k texture takes seconds and a gigabyte in software OpenGL; beyond it drivers refuse.
 MAX_TEXTURE_PX = 8192
+TABLES = tomllib.loads(Path(__file__).with_name("models.toml").read_text("utf-8"))
 DAMAGED = "the file is damaged or not what its name says"
 NO_TRIANGLES = "points and lines left out"
 # What Pillow may open: left to itself it also takes formats for which it starts other

@@ -16,17 +16,10 @@ import numpy as np
 
 from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, CLAMP, OPAQUE, REPEAT, Material, Texture
-from arfx.media.model_files import ModelFile
+from arfx.media.model_files import TABLES, ModelFile
 from arfx.media.model_parts import checked, resized
 
-# Options of maps and how many values they take at most; those that are read, or change nothing.
-_OPTIONS = dict.fromkeys(
-    ("-clamp", "-imfchan", "-cc", "-bm", "-boost", "-blendu", "-blendv"), 1
-)
-_OPTIONS |= {"-texres": 1, "-type": 1, "-s": 3, "-o": 3, "-t": 3, "-mm": 2}
-_READ = ("-s", "-o", "-clamp", "-bm", "-boost", "-blendu", "-blendv", "-texres", "-type")
-_MAPS = ("map_kd", "map_ke", "map_pr", "map_pm", "norm", "map_bump", "bump")
-_OTHER_MAPS = ("map_", "disp", "decal", "refl")
+_MTL = TABLES["mtl"]
 _GREY = 0.4  # display colour of a material that states neither Kd nor a map
 _SHEEN_ROUGHNESS = 0.5  # MTL has none
 
@@ -88,7 +81,7 @@ class _Statements:
         self.stated.update((key.lower(), (key, value.strip())) for key, value in rows)
         base = self.stated["map_kd"][1]
         for key, (written, value) in self.stated.items():
-            unread = key.startswith(_OTHER_MAPS) and key not in _MAPS
+            unread = key.startswith(tuple(_MTL["other_maps"])) and key not in _MTL["maps"]
             if unread and not (key == "map_ka" and value == base):
                 left_out[written] = None
 
@@ -118,7 +111,7 @@ class _Statements:
         written, value = self.stated[key]
         options, name = _options(value)
         for option, words in options.items():
-            if option not in _READ and words[:1] != ["off"]:
+            if option not in _MTL["read"] and words[:1] != ["off"]:
                 self._left_out[f"{option} of {written}"] = None
         picture = self._file.picture(name) if name else None
         if picture is None:
@@ -134,8 +127,8 @@ class _Statements:
 def _options(value: str) -> tuple[dict[str, list[str]], str]:
     """Options of a map with their values, and the name of its file, which may hold blanks."""
     options: dict[str, list[str]] = {}
-    while value and (option := value.split(None, 1)[0].lower()) in _OPTIONS:
-        most = _OPTIONS[option]
+    while value and (option := value.split(None, 1)[0].lower()) in _MTL["options"]:
+        most = _MTL["options"][option]
         words = value.split(None, most + 1)[1:]
         count = 1
         if most > 1:
