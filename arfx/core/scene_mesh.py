@@ -78,8 +78,7 @@ class SceneMesh:
 
         Returns face (count,) int64, barycentric weights (count, 3), positions (count, 3) float64
         relative to `centre_m`; of no points where the faces have no area."""
-        first, second, third = np.moveaxis(self.corners_m, 1, 0)
-        area = np.linalg.norm(np.cross(second - first, third - first), axis=1)
+        area = np.linalg.norm(across(self.corners_m), axis=1)
         if not area.sum() > 0:
             return np.zeros(0, int), np.zeros((0, 3)), np.zeros((0, 3))
         u = np.random.default_rng(seed).random((count, 2))
@@ -88,6 +87,11 @@ class SceneMesh:
         folded = np.where(u.sum(1, keepdims=True) > 1, 1 - u, u)
         weights = np.column_stack([1 - folded.sum(1), folded])
         return face, weights, np.einsum("nk,nkc->nc", weights, self.corners_m[face])
+
+
+def across(corners: np.ndarray) -> np.ndarray:
+    """(m, 3) out of triangles (m, 3, 3), as long as twice their area."""
+    return np.cross(*np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0))
 
 
 def flatten(model: Model, world_from_model: np.ndarray) -> SceneMesh:
@@ -99,7 +103,6 @@ def flatten(model: Model, world_from_model: np.ndarray) -> SceneMesh:
     centre = model.bounds.mean(0) @ linear.T + shift_m
     vertices = np.concatenate([p.vertices @ linear.T + shift_m - centre for p in parts])
     faces = np.concatenate([p.faces + n for p, n in zip(parts, starts, strict=False)])
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
 
     def rows(name: str, otherwise: np.ndarray) -> np.ndarray:
         """Of all parts end to end; `otherwise` for each vertex of a part that has none."""
@@ -123,7 +126,7 @@ def flatten(model: Model, world_from_model: np.ndarray) -> SceneMesh:
         part=np.repeat(
             np.arange(len(parts), dtype=np.int32), [len(p.faces) for p in parts]
         ),
-        face_normal=normalise(np.cross(b - a, c - a)).astype(np.float32),
+        face_normal=normalise(across(vertices[faces])).astype(np.float32),
         materials=tuple(p.material for p in parts),
         object_of=np.zeros(len(parts), np.int32),
     )

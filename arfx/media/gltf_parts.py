@@ -16,7 +16,7 @@ from arfx.errors import InputError
 from arfx.media.gltf import Gltf
 from arfx.media.gltf_materials import gltf_material
 from arfx.media.model_files import NO_TRIANGLES, ModelFile
-from arfx.media.model_parts import FileMesh, Placed, plain_material, unit_colours
+from arfx.media.model_parts import Placed, Rows, plain_material, unit_colours
 
 _TRIANGLES, _STRIP = 4, 5
 _ROWS = {
@@ -38,8 +38,8 @@ def gltf_meshes(file: ModelFile) -> Iterator[Placed]:
     material_of = cache(partial(gltf_material, gltf))
     triangles_of = cache(lambda number: list(_triangles_of(gltf, number, material_of)))
     for number, model_from_mesh in _placed(gltf):
-        for mesh, material in triangles_of(number):
-            yield mesh, model_from_mesh, material
+        for faces, rows, material in triangles_of(number):
+            yield faces, rows, model_from_mesh, material
 
 
 def _placed(gltf: Gltf) -> Iterator[tuple[int, np.ndarray]]:
@@ -91,7 +91,7 @@ def _copies(gltf: Gltf, instances: dict[str, Any]) -> Iterator[np.ndarray]:
 
 def _triangles_of(
     gltf: Gltf, number: int, material_of: Callable[[int, bool], Material]
-) -> Iterator[tuple[FileMesh, Material]]:
+) -> Iterator[tuple[np.ndarray, Rows, Material]]:
     for primitive in gltf.header["meshes"][number]["primitives"]:
         given, mode = primitive["attributes"], primitive.get("mode", _TRIANGLES)
         if "POSITION" not in given:
@@ -113,7 +113,7 @@ def _triangles_of(
             material = material_of(primitive["material"], coloured)
         else:
             material = plain_material(coloured, double_sided=False)
-        yield FileMesh(_triangles(corners, mode), rows), material
+        yield _triangles(corners, mode), rows, material
 
 
 def _parent_from_node(node: dict[str, Any]) -> np.ndarray:

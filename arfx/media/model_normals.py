@@ -19,6 +19,7 @@ from __future__ import annotations
 import numpy as np
 
 from arfx.core.numerics import angle_between, divide, normalise, same_rows
+from arfx.core.scene_mesh import across
 
 CREASE_DEG = 40.0
 
@@ -29,12 +30,12 @@ def corner_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     vertices : (n, 3), those at the same place count as one;  faces : (m, 3) int, none without area
     """
     p = vertices[faces]
-    flat = normalise(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]))
+    flat = normalise(across(p))
     place = same_rows(vertices)[1][faces]
     a, b = _shared_edges(place)
     smooth = (flat[a // 3] * flat[b // 3]).sum(1) > np.cos(np.radians(CREASE_DEG))
-    across = flat[:, None]
-    out = _smoothed(place, a[smooth], b[smooth], p, across, across)
+    along = flat[:, None]
+    out = _smoothed(place, a[smooth], b[smooth], p, along, along)
     # opposite faces cancel: each keeps its own
     return np.where(out.any(1, keepdims=True), out, np.repeat(flat, 3, 0))
 
@@ -51,10 +52,9 @@ def corner_tangents(
     """
     p, n = vertices[faces], normals[faces]
     t = uv[faces] * (1, -1)  # v upwards, as the sign of a tangent counts it
-    u1, v1 = (t[:, 1] - t[:, 0]).T
-    u2, v2 = (t[:, 2] - t[:, 0]).T
+    (u1, u2), (v1, v2) = (t[:, 1:] - t[:, :1]).T
     side = np.asarray(np.sign(u1 * v2 - v1 * u2))
-    edge1, edge2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
+    edge1, edge2 = np.moveaxis(p[:, 1:] - p[:, :1], 1, 0)
     along_u = side[:, None] * (v2[:, None] * edge1 - v1[:, None] * edge2)
     along_u = normalise(divide(along_u, np.abs(along_u).max(1, keepdims=True)))
     side[~along_u.any(1)] = 0  # the picture covers it with no area

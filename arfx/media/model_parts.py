@@ -3,7 +3,7 @@ model; colours, and materials whose numbers are in range."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from PIL import Image
@@ -11,6 +11,7 @@ from PIL import Image
 from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, MASK, OPAQUE, Material, Part
 from arfx.core.numerics import normalise, same_rows
+from arfx.core.scene_mesh import across
 from arfx.errors import InputError
 from arfx.media.model_normals import corner_normals, corner_tangents
 
@@ -21,35 +22,24 @@ _BRIGHTEST = 1e6  # emission, where white paper in full light is 1
 _UNIT = ("metallic", "roughness", "clearcoat", "clearcoat_roughness", "sheen_roughness")
 
 
-@dataclass(frozen=True, eq=False)
-class FileMesh:
-    """Triangles of one material as a file gives them, in the mesh's own axes.
-
-    faces : (m, 3) int
-    rows : by name what each vertex has: "vertices" (n, 3), and where the file gives them "normals",
-        "uv", "second_uv", "colours", "tangents", as of core.model.Part; unusable ones are left out
-    face_colours : (m, 4) linear, or None"""
-
-    faces: np.ndarray
-    rows: dict[str, np.ndarray]
-    face_colours: np.ndarray | None = None
-
-
-Placed = tuple[FileMesh, np.ndarray, Material]  # with its place in the model, (4, 4)
+Rows = dict[str, np.ndarray]
+Placed = tuple[np.ndarray, Rows, np.ndarray, Material]  # what `part_of` takes
 
 
 def part_of(
-    mesh: FileMesh,
-    model_from_mesh: np.ndarray,
-    material: Material,
+    faces: np.ndarray, given: Rows, model_from_mesh: np.ndarray, material: Material
 ) -> Part | None:
     """A part of the model, without faces that have no area; None where none is left.
 
+    faces : (m, 3) int, of one material
+    given : by name what each vertex has, in the mesh's own axes: "vertices" (n, 3), and where the
+        file gives them "normals", "uv", "second_uv", "colours", "tangents", as of core.model.Part;
+        unusable ones are left out
     model_from_mesh : (4, 4)
     Raises InputError: faces of vertices that there are not, numbers that are not finite."""
-    if not len(mesh.faces):
+    if not len(faces):
         return None
-    rows, faces, linear = dict(mesh.rows), mesh.faces, model_from_mesh[:3, :3]
+    rows, linear = dict(given), model_from_mesh[:3, :3]
     rows["vertices"] = rows["vertices"] @ linear.T + model_from_mesh[:3, 3]
     _check(rows["vertices"], faces)
     rows = _usable(rows)
@@ -61,8 +51,6 @@ def part_of(
     if not len(faces):
         return None
     own = {}  # what corners have, whatever vertex they are of
-    if mesh.face_colours is not None:
-        own["colours"] = np.repeat(mesh.face_colours[keep], 3, 0)
     if "normals" in rows:
         # the inverse transpose turns normals rightly under any matrix; times the determinant
         # it is there for every one, and a mirror's turns them inwards
@@ -100,28 +88,28 @@ def _check(vertices: np.ndarray, faces: np.ndarray) -> None:
         raise InputError(what, "export it again; look for NaN or inf")
 
 
-def _usable(rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _usable(rows: Rows) -> Rows:
     """Those of the right length, with all numbers finite; of texture coordinates single ones may
     be 0."""
     out = {}
     for name, values in rows.items():
-        finite = np.isfinite(values).all(1)
+        finite = np.isfinite(values).all(1, keepdims=True)
         if len(values) == len(rows["vertices"]) and (name.endswith("uv") or finite.all()):
-            out[name] = np.where(finite[:, None], values, 0.0)
+            out[name] = np.where(finite, values, 0.0)
     return out
 
 
 def _have_area(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(m,) bool."""
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    extent = float(np.ptp(vertices[faces.ravel()], axis=0).max())
-    return np.asarray((np.cross(b - a, c - a) ** 2).sum(1) > _DEGENERATE * extent**4)
+    corners = vertices[faces]
+    extent = float(np.ptp(corners, axis=(0, 1)).max())
+    return np.asarray((across(corners) ** 2).sum(1) > _DEGENERATE * extent**4)
 
 
 def _indexed(
     faces: np.ndarray,
-    rows: dict[str, np.ndarray],
-    own: dict[str, np.ndarray],
+    rows: Rows,
+    own: Rows,
     material: Material,
 ) -> Part:
     """Of those vertices that faces use, once for all corners that have the same of their own.

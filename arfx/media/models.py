@@ -84,7 +84,7 @@ def _read(file: ModelFile) -> list[Part]:
     placed, faces = [], 0
     for found in readers.get(file.kind, trimesh_meshes)(file):
         placed.append(found)
-        faces += len(found[0].faces)
+        faces += len(found[0])
         file.check_counts(faces, len(placed))
     made = [part_of(*found) for found in placed]
     parts = [part for part in made if part is not None]

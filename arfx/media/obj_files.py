@@ -17,7 +17,7 @@ import numpy as np
 from arfx.core.model import Material
 from arfx.errors import InputError
 from arfx.media.model_files import ModelFile
-from arfx.media.model_parts import FileMesh, Placed, linear_colours, plain_material
+from arfx.media.model_parts import Placed, linear_colours, plain_material
 from arfx.media.mtl_files import mtl_material
 
 _FILE = re.compile(r'"([^"]+)"|(\S.*?\.mtl(?=\s|$)|\S+)', re.IGNORECASE)
@@ -54,7 +54,7 @@ def obj_meshes(file: ModelFile) -> Iterator[Placed]:
     file.check_counts(sum(map(len, faces_of.values())))
     materials = _materials(file, rows["mtllib"], list(faces_of)[1:])
     places = _table(rows["v"], 6)
-    # By what FileMesh calls them, and their number's place in a corner; v counts from the bottom.
+    # By what `part_of` calls them, and their number's place in a corner; v counts from the bottom.
     tables = {
         ("vertices", 0): places[:, :3],
         ("uv", 1): _table(rows["vt"], 2) * (1, -1) + (0, 1),
@@ -75,7 +75,7 @@ def obj_meshes(file: ModelFile) -> Iterator[Placed]:
             if len(table) > 1
         }
         if len(triangles):
-            yield FileMesh(triangles, own), np.eye(4), materials.get(name, plain)
+            yield triangles, own, np.eye(4), materials.get(name, plain)
 
 
 def _materials(file: ModelFile, lists: list[str], used: list[str]) -> dict[str, Material]:

@@ -1,4 +1,4 @@
-"""PLY, STL, OFF and DAE through trimesh: its meshes as FileMesh, its materials in arfx's
+"""PLY, STL, OFF and DAE through trimesh: its meshes and materials in arfx's
 terms."""
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import numpy as np
 from arfx.core.model import Material, Texture
 from arfx.media.model_files import NO_TRIANGLES, ModelFile
 from arfx.media.model_parts import (
-    FileMesh,
     Placed,
+    Rows,
     checked,
     linear_colours,
     plain_material,
@@ -52,7 +52,7 @@ def trimesh_meshes(file: ModelFile) -> Iterator[Placed]:
         if not hasattr(mesh, "faces"):
             file.notices.append(NO_TRIANGLES)
             continue
-        found = _mesh(mesh)
+        faces, rows = _mesh(mesh)
         given = getattr(mesh.visual, "material", None)
         if texture is not None:
             white = (1.0, 1.0, 1.0, 1.0)
@@ -62,9 +62,8 @@ def trimesh_meshes(file: ModelFile) -> Iterator[Placed]:
         elif type(given).__name__ == "PBRMaterial":
             material = material_of(given)
         else:  # trimesh's own grey
-            coloured = "colours" in found.rows or found.face_colours is not None
-            material = plain_material(coloured, double_sided=True)
-        yield found, np.asarray(model_from_mesh, float), material
+            material = plain_material("colours" in rows, double_sided=True)
+        yield faces, rows, np.asarray(model_from_mesh, float), material
 
 
 def _ply(file: ModelFile) -> tuple[bytes, Texture | None]:
@@ -114,17 +113,19 @@ def _stated_faces(data: bytes, kind: str) -> int:
     return int(found[1][:18]) if found else 0
 
 
-def _mesh(mesh: Any) -> FileMesh:
-    rows = {"vertices": np.asarray(mesh.vertices, float)}
+def _mesh(mesh: Any) -> tuple[np.ndarray, Rows]:
+    rows, faces = {"vertices": np.asarray(mesh.vertices, float)}, np.asarray(mesh.faces)
     # trimesh would make normals up on access; only the file's own are wanted
     if "vertex_normals" in mesh._cache:
         rows["normals"] = np.array(mesh.vertex_normals, float)
     visual = mesh.visual
-    uv = getattr(visual, "uv", None)
-    if uv is not None:
+    if getattr(visual, "uv", None) is not None:
         # trimesh counts v from the bottom
-        rows["uv"] = np.array(uv, float)[:, :2] * (1, -1) + (0, 1)
+        rows["uv"] = np.array(visual.uv, float)[:, :2] * (1, -1) + (0, 1)
     if visual.kind == "vertex":
         rows["colours"] = linear_colours(visual.vertex_colors)
-    by_face = linear_colours(visual.face_colors) if visual.kind == "face" else None
-    return FileMesh(np.asarray(mesh.faces), rows, by_face)
+    if visual.kind == "face":
+        rows = {name: values[faces.ravel()] for name, values in rows.items()}
+        rows["colours"] = np.repeat(linear_colours(visual.face_colors), 3, 0)
+        faces = np.arange(faces.size).reshape(-1, 3)
+    return faces, rows
