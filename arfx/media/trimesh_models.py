@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from arfx.core.model import Material, Texture
+from arfx.core.numerics import same_rows
 from arfx.media.model_files import NO_TRIANGLES, ModelFile
 from arfx.media.model_parts import (
     Placed,
@@ -125,7 +126,9 @@ def _mesh(mesh: Any) -> tuple[np.ndarray, Rows]:
     if visual.kind == "vertex":
         rows["colours"] = linear_colours(visual.vertex_colors)
     if visual.kind == "face":
-        rows = {name: values[faces.ravel()] for name, values in rows.items()}
-        rows["colours"] = np.repeat(linear_colours(visual.face_colors), 3, 0)
-        faces = np.arange(faces.size).reshape(-1, 3)
+        corners = faces.ravel()
+        colours = np.repeat(linear_colours(visual.face_colors), 3, 0)
+        first, number = same_rows(np.column_stack([corners, colours]))
+        rows = {name: values[corners[first]] for name, values in rows.items()}
+        rows["colours"], faces = colours[first], number.reshape(-1, 3)
     return faces, rows
