@@ -26,7 +26,7 @@ from arfx.errors import InputError
 from arfx.media.clip import ClipInfo, match_by_time, match_in_order, probe, spacing_s
 from arfx.media.frame import Frame
 from arfx.media.frames import ClipReader
-from arfx.media.images import check_tiff, decode_picture
+from arfx.media.images import check_size, decode_picture
 from arfx.media.planes import planes_of
 
 TIFF = (".tif", ".tiff")
@@ -190,7 +190,7 @@ def open_depth(
     if not is_folder(path, "depth"):
         suffix = path.suffix.lower()
         if suffix in TIFF:
-            check_tiff(regular(path, "depth"), "depth map")
+            check_size(regular(path, "depth"), path, "depth map")
             count = cv2.imcount(str(path), cv2.IMREAD_UNCHANGED)
             page = partial(_page, path)
             return DepthMaps(path, (path,), count, steps_per_m, start_s, None, page)

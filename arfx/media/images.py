@@ -12,7 +12,7 @@ import importlib
 import io
 import re
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, cast
@@ -171,7 +171,7 @@ def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
 
     Raises InputError: not a file of that kind, too large, damaged."""
     data = read_bytes(path, kind)
-    _check_size(lambda: _sizes(data, path, kind), path, kind)
+    check_size(data, path, kind)
     try:
         if is_heif(data):
             grey = flags == cv2.IMREAD_GRAYSCALE
@@ -224,13 +224,6 @@ def exif_turn(path: Path) -> int:
         return 1
 
 
-def check_tiff(path: Path, kind: str) -> None:
-    """Of every page of a TIFF that is too large to be read whole.
-
-    Raises InputError: damaged, or with more pixels than MAX_PIXELS[kind]."""
-    _check_size(lambda: _tiff_sizes(path), path, kind)
-
-
 def _tiff_sizes(source: Path | io.BytesIO) -> list[tuple[int, int]]:
     import tifffile
 
@@ -244,11 +237,12 @@ def _tiff_sizes(source: Path | io.BytesIO) -> list[tuple[int, int]]:
     return list(sizes.values())
 
 
-def _check_size(
-    sizes: Callable[[], Sequence[tuple[int, int]]], path: Path, kind: str
-) -> None:
+def check_size(source: bytes | Path, path: Path, kind: str) -> None:
+    """Of every page of a picture; source : its bytes, or where a TIFF is that is too large for it.
+
+    Raises InputError: damaged, or with more pixels than MAX_PIXELS[kind]."""
     try:
-        pages = sizes()
+        pages = _sizes(source, path, kind)
     except InputError:
         raise
     except Exception as e:  # whatever the readers of headers stumble over
@@ -264,8 +258,10 @@ def _check_size(
             raise InputError(f"{kind} {path} is {width}x{height}", hint)
 
 
-def _sizes(data: bytes, path: Path, kind: str) -> Sequence[tuple[int, int]]:
+def _sizes(data: bytes | Path, path: Path, kind: str) -> Sequence[tuple[int, int]]:
     """(width, height) of every page as the header states it; none where the format is not known."""
+    if isinstance(data, Path):
+        return _tiff_sizes(data)
     if data.startswith(_TIFF):
         return _tiff_sizes(io.BytesIO(data))
     if data.startswith(b"#?"):
