@@ -98,7 +98,8 @@ def _smoothed(
     there = np.where(opposite, [end[b], b], [b, end[b]])
     links = np.stack([[a, end[a]], there], -1).reshape(-1, 2)
     group = connected_component_labels(links, node_count=place.size)
-    sides = (_in_plane(np.roll(p, k, 1) - p, normals) for k in (-1, 1))
+    # turned by a quarter, in the plane of the normals
+    sides = (np.cross(normals, np.roll(p, k, 1) - p) for k in (-1, 1))
     weighted = angle_between(*sides)[..., None] * directions
     sums = [np.bincount(group, axis) for axis in weighted.reshape(-1, 3).T]
     return normalise(np.stack(sums, 1))[group]

@@ -42,8 +42,10 @@ def obj_meshes(file: ModelFile) -> Iterator[Placed]:
     faces_of: dict[str, list[str]] = {}
     faces = faces_of.setdefault("", [])
     text = re.sub(r"\\\r?\n", " ", decoded(file.data)).replace("\t", " ")
-    for number, line in enumerate(io.StringIO(text, newline=None)):
-        file.check_counts(number // 10, len(faces_of) - 1)  # v, vt, vn thrice each
+    text = text.replace("\r", "\n")
+    # ten lines of a face: its own, three corners with place, coordinates and normal each
+    file.check_counts(text.count("\n") // 10)
+    for line in io.StringIO(text):
         kind, _, rest = line.strip().partition(" ")
         if kind == "f":
             faces.append(rest)
@@ -51,6 +53,7 @@ def obj_meshes(file: ModelFile) -> Iterator[Placed]:
             rows[kind].append(rest)
         elif kind == "usemtl":
             faces = faces_of.setdefault(_key(rest), [])
+            file.check_counts(0, len(faces_of) - 1)
     file.check_counts(sum(map(len, faces_of.values())))
     materials = _materials(file, rows["mtllib"], list(faces_of)[1:])
     places = _table(rows["v"], 6)
