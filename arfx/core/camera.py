@@ -45,28 +45,19 @@ class Camera(Document):
         object.__setattr__(self, "matrix", m)
         object.__setattr__(self, "distortion", d)
         where = f" in {self.source}" if self.source else ""
-        if m.shape != (3, 3) or not np.isfinite(m).all() or not np.isfinite(d).all():
-            raise InputError(
-                f"camera calibration{where} holds values that are not finite numbers",
-                "calibrate again",
-            )
-        if m[0, 0] <= 0 or m[1, 1] <= 0:
-            raise InputError(
-                f"camera calibration{where}: focal length must be above 0, is {m[0, 0]:g},"
-                f" {m[1, 1]:g} px"
-            )
-        if self.width <= 0 or self.height <= 0:
-            raise InputError(
-                f"camera calibration{where}: picture size {self.width}x{self.height}"
-            )
         allowed = (0, 4) if self.model == FISHEYE else (0, 4, 5, 8, 12, 14)
-        if self.model not in (BROWN, FISHEYE) or d.size not in allowed:
+        what = hint = ""
+        if m.shape != (3, 3) or not np.isfinite([*m.flat, *d]).all():
+            what, hint = " holds values that are not finite numbers", "calibrate again"
+        elif min(m[0, 0], m[1, 1]) <= 0:
+            what = f": focal length must be above 0, is {m[0, 0]:g}, {m[1, 1]:g} px"
+        elif min(self.width, self.height) <= 0:
+            what = f": picture size {self.width}x{self.height}"
+        elif self.model not in (BROWN, FISHEYE) or d.size not in allowed:
+            what = f": {d.size} distortion coefficients for model {self.model!r}"
             hint = f"one of {', '.join(map(str, allowed))}"
-            raise InputError(
-                f"camera calibration{where}: {d.size} distortion coefficients for model"
-                f" {self.model!r}",
-                hint,
-            )
+        if what:
+            raise InputError(f"camera calibration{where}{what}", hint)
 
     fx = property(lambda self: float(self.matrix[0, 0]))
     fy = property(lambda self: float(self.matrix[1, 1]))
@@ -130,10 +121,7 @@ class Camera(Document):
         yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y + r2 * (s3 + r2 * s4)
         if tx or ty:
             h = _tilt(tx, ty) @ np.stack([xd, yd, np.ones_like(xd)], -1)[..., None]
-            xd, yd = (
-                divide(h[..., 0, 0], h[..., 2, 0]),
-                divide(h[..., 1, 0], h[..., 2, 0]),
-            )
+            return divide(h[..., :2, 0], h[..., 2, :])
         return np.stack([xd, yd], -1)
 
     def undistort(self, xy: np.ndarray) -> np.ndarray:
@@ -224,20 +212,20 @@ class Camera(Document):
             return self
         stretch = width * self.height / (height * self.width)
         if min(abs(stretch - 1), abs(stretch * pixel_aspect - 1)) > 0.005:
-            raise InputError(
+            what = (
                 f"camera calibration {self.source or ''} is for {self.width}x{self.height},"
-                f" the clip is {width}x{height}",
-                "the aspect ratios differ: calibrate with the same camera mode (crop) as"
-                " the clip",
+                f" the clip is {width}x{height}"
             )
-        sx, sy = width / self.width, height / self.height
+            hint = (
+                "the aspect ratios differ: calibrate with the same camera mode (crop) as"
+                " the clip"
+            )
+            raise InputError(what, hint)
+        grown = np.array([width / self.width, height / self.height])
         m = self.matrix.copy()
-        m[0] *= sx
-        m[1] *= sy
-        m[0, 2] = (
-            self.cx + 0.5
-        ) * sx - 0.5  # pixel centres at integers: the picture's edge is at -0.5
-        m[1, 2] = (self.cy + 0.5) * sy - 0.5
+        m[:2] *= grown[:, None]
+        # pixel centres at integers: the picture's edge is at -0.5
+        m[:2, 2] = (self.matrix[:2, 2] + 0.5) * grown - 0.5
         m[2] = [0, 0, 1]
         return replace(self, width=width, height=height, matrix=m)
 
@@ -251,21 +239,12 @@ class Camera(Document):
         """A pinhole with a typical phone's field of view along the long side as displayed;
         `guessed` is set.
         pixel_aspect : width of a pixel over its height"""
-        f = (
-            max(width * pixel_aspect, height)
-            / 2
-            / np.tan(np.radians(horizontal_fov_deg) / 2)
-        )
-        m = np.array(
-            [[f / pixel_aspect, 0, (width - 1) / 2], [0, f, (height - 1) / 2], [0, 0, 1]]
-        )
-        return Camera(
-            width,
-            height,
-            m,
-            source=f"guess ({horizontal_fov_deg:g} deg along the long side)",
-            guessed=True,
-        )
+        longest = max(width * pixel_aspect, height)
+        f = longest / 2 / np.tan(np.radians(horizontal_fov_deg) / 2)
+        cx, cy = (width - 1) / 2, (height - 1) / 2
+        m = np.array([[f / pixel_aspect, 0, cx], [0, f, cy], [0, 0, 1]])
+        source = f"guess ({horizontal_fov_deg:g} deg along the long side)"
+        return Camera(width, height, m, source=source, guessed=True)
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -73,14 +73,13 @@ def _between_texels(size: int, directions: np.ndarray) -> tuple[np.ndarray, np.n
     (n, 4) weights of them): linear between the texels of a face, the outermost beyond them.
     """
     face, *across = on_cube(np.asarray(directions, float))
-    u, v = (np.clip((t + 1) / 2 * size - 0.5, 0, size - 1) for t in across)
-    column, row = (np.minimum(t.astype(np.intp), max(size - 2, 0)) for t in (u, v))
-    columns = np.stack([column, np.minimum(column + 1, size - 1)], -1)
-    rows = np.stack([row, np.minimum(row + 1, size - 1)], -1)
-    right, below = u - column, v - row
-    texels = (face[:, None, None] * size + rows[:, :, None]) * size + columns[:, None]
-    weights = np.stack([1 - below, below], -1)[:, :, None]
-    weights = weights * np.stack([1 - right, right], -1)[:, None]
+    # of each direction: column and row, of these the two around it
+    place = np.clip((np.stack(across, -1) + 1) / 2 * size - 0.5, 0, size - 1)
+    low = np.minimum(place.astype(np.intp), max(size - 2, 0))
+    near = np.stack([low, np.minimum(low + 1, size - 1)], -1)
+    share = np.stack([1 - (place - low), place - low], -1)
+    texels = (face[:, None, None] * size + near[:, 1, :, None]) * size + near[:, :1]
+    weights = share[:, 1, :, None] * share[:, :1]
     return texels.reshape(-1, 4), weights.reshape(-1, 4)
 
 

@@ -43,11 +43,9 @@ class RealDepth(Document):
         noise: float = TYPICAL_NOISE,
     ) -> RealDepth:
         """tiles : of `tile_ranges`, which are made a little wider, to what float16 can hold"""
-        low = np.nextafter(tiles[0].astype(np.float16), np.float16(0))
-        high = np.nextafter(tiles[1].astype(np.float16), np.float16(np.inf))
-        wider = np.stack([low, np.minimum(high, np.finfo(np.float16).max)]).astype(
-            np.float32
-        )
+        ends = np.array([0, np.inf], np.float16)[:, None, None]
+        wider = np.nextafter(tiles.astype(np.float16), ends)
+        wider = np.minimum(wider, np.finfo(np.float16).max).astype(np.float32)
         return RealDepth(map, scale, digest, wider, noise)
 
     @property

@@ -78,8 +78,7 @@ class SceneMesh:
 
         Returns face (count,) int64, barycentric weights (count, 3), positions (count, 3) float64
         relative to `centre_m`; of no points where the faces have no area."""
-        first, second, third = np.moveaxis(self.corners_m, 1, 0)
-        area = np.linalg.norm(np.cross(second - first, third - first), axis=1)
+        area = np.linalg.norm(across(self.corners_m), axis=1)
         if not area.sum() > 0:
             return np.zeros(0, int), np.zeros((0, 3)), np.zeros((0, 3))
         u = np.random.default_rng(seed).random((count, 2))
@@ -90,72 +89,66 @@ class SceneMesh:
         return face, weights, np.einsum("nk,nkc->nc", weights, self.corners_m[face])
 
 
+def across(corners: np.ndarray) -> np.ndarray:
+    """(m, 3) out of triangles (m, 3, 3), as long as twice their area."""
+    return np.cross(*np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0))
+
+
 def flatten(model: Model, world_from_model: np.ndarray) -> SceneMesh:
     """world_from_model : (4, 4), rigid times a uniform scale"""
     linear, shift_m = world_from_model[:3, :3], world_from_model[:3, 3]
     rotation = linear / np.cbrt(abs(np.linalg.det(linear)))
     parts = model.parts
-    counts = [len(p.vertices) for p in parts]
-    starts = np.cumsum([0, *counts[:-1]])
+    starts = np.cumsum([0, *(len(p.vertices) for p in parts)])
     centre = model.bounds.mean(0) @ linear.T + shift_m
     vertices = np.concatenate([p.vertices @ linear.T + shift_m - centre for p in parts])
-    faces = np.concatenate(
-        [p.faces + start for p, start in zip(parts, starts, strict=True)]
-    )
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    first_uv = _rows([p.uv for p in parts], np.zeros(2), counts)
-    second_uv = _rows([p.second_uv for p in parts], np.zeros(2), counts)
-    tangents = _rows([p.tangents for p in parts], np.zeros(4), counts)
+    faces = np.concatenate([p.faces + n for p, n in zip(parts, starts, strict=False)])
+
+    def rows(name: str, otherwise: np.ndarray) -> np.ndarray:
+        """Of all parts end to end; `otherwise` for each vertex of a part that has none."""
+        given = [(getattr(p, name), len(p.vertices)) for p in parts]
+        return np.concatenate(
+            [np.tile(otherwise, (n, 1)) if own is None else own for own, n in given]
+        )
+
+    none = np.zeros(2)
+    tangents = rows("tangents", np.zeros(4))
     tangents[:, :3] = tangents[:, :3] @ rotation.T
     return SceneMesh(
         centre_m=centre,
         vertices=vertices,
-        normals=np.concatenate([p.normals @ rotation.T for p in parts]).astype(
-            np.float32
-        ),
-        colours=_rows([p.colours for p in parts], np.ones(4), counts).astype(np.float32),
-        uv=np.column_stack([first_uv, second_uv]).astype(np.float32),
+        normals=(rows("normals", np.zeros(3)) @ rotation.T).astype(np.float32),
+        colours=rows("colours", np.ones(4)).astype(np.float32),
+        uv=np.column_stack([rows("uv", none), rows("second_uv", none)]).astype("f4"),
         has_uv=np.array([(p.uv is not None, p.second_uv is not None) for p in parts]),
         tangents=tangents.astype(np.float32),
         faces=faces.astype(np.int32),
         part=np.repeat(
             np.arange(len(parts), dtype=np.int32), [len(p.faces) for p in parts]
         ),
-        face_normal=normalise(np.cross(b - a, c - a)).astype(np.float32),
+        face_normal=normalise(across(vertices[faces])).astype(np.float32),
         materials=tuple(p.material for p in parts),
         object_of=np.zeros(len(parts), np.int32),
     )
 
 
-def _rows(
-    given: list[np.ndarray | None], otherwise: np.ndarray, counts: list[int]
-) -> np.ndarray:
-    """Rows of all parts end to end; `otherwise` for each vertex of a part that has none."""
-    rows = [
-        np.tile(otherwise, (count, 1)) if own is None else own
-        for own, count in zip(given, counts, strict=True)
-    ]
-    return np.concatenate(rows)
-
-
 def _edges(mesh: SceneMesh) -> Edges:
     first, position = same_rows(mesh.vertices.astype(np.float32))
     corner = position[mesh.faces]
-    ends = np.concatenate([corner[:, [0, 1]], corner[:, [1, 2]], corner[:, [2, 0]]])
+    # from first corners to second ones, from second to third, from third to first
+    ends = np.stack([corner, np.roll(corner, -1, 1)]).T.reshape(-1, 2)
     ends = np.sort(ends, axis=1)
     owner = np.tile(np.arange(len(mesh.faces)), 3)
-    order = np.lexsort((ends[:, 1], ends[:, 0]))
-    ends, owner = ends[order], owner[order]
-    new = np.r_[True, (ends[1:] != ends[:-1]).any(1)]
-    start = np.flatnonzero(new)
-    count = np.diff(np.r_[start, len(ends)])
-    pair = start[count == 2]
-    a, b = owner[pair], owner[pair + 1]
+    one, edge = same_rows(ends)
+    other = one.copy()
+    other[edge] = np.arange(len(edge))  # the last of each
+    count = np.bincount(edge)
+    a, b = owner[one[count == 2]], owner[other[count == 2]]
     flat = (mesh.face_normal[a] * mesh.face_normal[b]).sum(1) > _CREASE_COS
-    alone = np.flatnonzero(np.repeat(count != 2, count))
-    sides = np.concatenate(
-        [np.stack([a, b], 1), np.stack([owner[alone], np.full(len(alone), -1)], 1)]
-    )
+    order = np.argsort(edge, kind="stable")
+    alone = order[count[edge[order]] != 2]
+    single = np.stack([owner[alone], np.full(len(alone), -1)], 1)
+    sides = np.concatenate([np.stack([a, b], 1), single])
     sharp = np.r_[~flat | (mesh.part[a] != mesh.part[b]), np.ones(len(alone), bool)]
-    vertices = first[ends[np.r_[pair, alone]]]
+    vertices = first[ends[np.r_[one[count == 2], alone]]]
     return Edges(vertices.astype(np.int32), sides.astype(np.int32), sharp)

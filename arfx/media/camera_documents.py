@@ -7,6 +7,7 @@ import gzip
 import io
 import re
 import struct
+import tomllib
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -32,38 +33,9 @@ SUPPORTED = (
     " or cameras.bin, Kalibr camchain YAML, WPILib or PhotonVision JSON; YAML or JSON with"
     " fx, fy, width, height and maybe cx, cy, distortion"
 )
-# How other files begin -> what they are, and what to do.
-_OTHERS = {
-    b"\x93NUMPY": (
-        "it is a single NumPy array",
-        "np.savez(…, camera_matrix=, distortion_coefficients=, image_width=, image_height=)",
-    ),
-    b"\x80": (
-        "it is a Python pickle, which could run code",
-        "save the same as .npz with np.savez, or as YAML",
-    ),
-    b"MATLAB": (
-        "it is a MATLAB file",
-        "write camera_matrix, distortion_coefficients, image_width, image_height as YAML",
-    ),
-}
-# COLMAP's models in the order of their numbers -> their parameters; behind cx cy they come as
-# OpenCV's do. Sources: COLMAP, src/colmap/sensor/models.h; its documentation, "Camera Models".
-COLMAP_MODELS = {
-    "SIMPLE_PINHOLE": "f cx cy",
-    "PINHOLE": "fx fy cx cy",
-    "SIMPLE_RADIAL": "f cx cy k1",
-    "RADIAL": "f cx cy k1 k2",
-    "OPENCV": "fx fy cx cy k1 k2 p1 p2",
-    "OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4",
-    "FULL_OPENCV": "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6",
-    "FOV": "fx fy cx cy omega",
-    "SIMPLE_RADIAL_FISHEYE": "f cx cy k1",
-    "RADIAL_FISHEYE": "f cx cy k1 k2",
-    "THIN_PRISM_FISHEYE": "fx fy cx cy k1 k2 p1 p2 k3 k4 sx1 sy1",
-}
+TABLES = tomllib.loads(Path(__file__).with_name("cameras.toml").read_text("utf-8"))
 # The middle of the top left pixel is (0.5, 0.5) there and (0, 0) here.
-COLMAP_CENTRE_PX = 0.5
+_COLMAP_CENTRE_PX = 0.5
 _COLMAP_ROW = re.compile(r"\d+ [A-Z][A-Z_]+ ")
 
 
@@ -108,9 +80,9 @@ def read_document(path: Path) -> Mapping[str, Any]:
     data = read_bytes(path, "camera file")
     if data.startswith(b"\x1f\x8b"):
         data = _unpacked(data)
-    for start, what_and_hint in _OTHERS.items():
-        if data.startswith(start):
-            raise CameraFileError(*what_and_hint)
+    for other in TABLES["others"]:
+        if data.startswith(other["start"].encode("latin-1")):
+            raise CameraFileError(other["what"], other["hint"])
     if data.startswith(b"PK"):
         return _numpy(data)
     if rows := _colmap_binary(data):
@@ -180,7 +152,7 @@ def _colmap_binary(data: bytes) -> list[list[Any]]:
         (count,), at = struct.unpack_from("<Q", data), 8
         while at < len(data):
             camera, model, *size = struct.unpack_from("<IIQQ", data, at)
-            name, names = list(COLMAP_MODELS.items())[model]
+            name, names = list(TABLES["colmap"].items())[model]
             values = struct.Struct(f"<{len(names.split())}d")
             rows.append([str(camera), name, *size, *values.unpack_from(data, at + 24)])
             at += 24 + values.size
@@ -192,13 +164,13 @@ def _colmap_binary(data: bytes) -> list[list[Any]]:
 def _colmap(rows: list[list[Any]]) -> dict[str, Any]:
     cameras = {}
     for camera, model, width, height, *given in rows:
-        names = COLMAP_MODELS.get(model, "")
+        names = TABLES["colmap"].get(model, "")
         values = numbers(given, f"camera {camera}")
         if names and len(values) != len(names.split()):
             what = f"{model} has {len(values)} parameters"
             raise CameraFileError(what, f"{len(names.split())}: {names}")
         focals = 1 if names.startswith("f ") else 2
-        centre = values[focals : focals + 2] - COLMAP_CENTRE_PX
+        centre = values[focals : focals + 2] - _COLMAP_CENTRE_PX
         cameras[camera] = {
             "intrinsics": [*np.resize(values[:focals], 2), *centre],
             "distortion_coeffs": values[focals + 2 :],

@@ -13,7 +13,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,33 +23,16 @@ import yaml
 from arfx.core.camera import BROWN, FISHEYE, Camera
 from arfx.core.guard import atomic_write
 from arfx.errors import InputError
-from arfx.media.camera_documents import CameraFileError, number, numbers, read_document
-
-# Every name that the formats give to the same thing, lower case, without underscores.
-MATRIX_NAMES = ("cameramatrix", "cameraintrinsics", "intrinsicmatrix", "k", "mtx")
-DISTORTION_NAMES = (
-    "distortioncoefficients",
-    "distcoeffs",
-    "distcoefs",
-    "distortioncoeffs",
-    "distortion",
-    "dist",
-    "d",
+from arfx.media.camera_documents import (
+    TABLES,
+    CameraFileError,
+    number,
+    numbers,
+    read_document,
 )
-SIZE_NAMES = ("imagesize", "imgsize", "resolution", "size")
-SIDE_NAMES = ("imagewidth", "width", "w"), ("imageheight", "height", "h")
-MODEL_NAMES = ("distortionmodel", "cameramodel", "model")
-FISHEYE_WORDS = {
-    *("fisheye", "equidistant", "kannala_brandt", "kannalabrandt", "kb4"),
-    *("opencv_fisheye", "simple_radial_fisheye", "radial_fisheye"),  # of COLMAP
-}
-BROWN_WORDS = {
-    *("pinhole", "plumb_bob", "radtan", "rational_polynomial", "brown", "opencv", "none"),
-    *("brown_conrady", "thin_prism", "rational", "radial", "perspective"),
-    *("simple_pinhole", "simple_radial", "full_opencv"),  # of COLMAP
-}
+
+_NAMES, _LENSES = TABLES["names"], TABLES["lenses"]
 _SHAPE = "fx 0 cx / 0 fy cy / 0 0 1, row by row"
-_LARGEST_PX = 65536
 
 
 def load_camera(path: str | Path) -> Camera:
@@ -87,16 +70,18 @@ def load_camera(path: str | Path) -> Camera:
 def _from_names(document: Mapping[str, Any], where: str) -> Camera:
     """The same things under different names. Raises CameraFileError, InputError."""
     flat = _flat(document)
-    words = [_first(flat, MODEL_NAMES)]
+    words = [_first(flat, _NAMES["model"])]
     if "intrinsics" in flat:  # Kalibr names projection and distortion
         words.append(flat.get("cameramodel"))
     models = {str(word).lower() for word in words if word}
-    if unknown := models - FISHEYE_WORDS - BROWN_WORDS:
+    if unknown := models.difference(*_LENSES.values()):
         what = f"lens model {' '.join(unknown)!r} is not supported"
         raise CameraFileError(what, "plumb_bob, rational_polynomial, equidistant")
     # OpenCV's calibration sample marks a fisheye calibration with `fisheye_model: 1`
-    fisheye = models & FISHEYE_WORDS or str(flat.get("fisheyemodel", 0)) == "1"
-    matrix = numbers(_first(flat, MATRIX_NAMES), "the camera matrix")
+    fisheye = (
+        models.intersection(_LENSES["fisheye"]) or str(flat.get("fisheyemodel", 0)) == "1"
+    )
+    matrix = numbers(_first(flat, _NAMES["matrix"]), "the camera matrix")
     single = flat.get("intrinsics")
     if {"fx", "fy"} <= flat.keys():
         cx, cy = ((side - 1) / 2 for side in _size(flat))
@@ -113,7 +98,7 @@ def _from_names(document: Mapping[str, Any], where: str) -> Camera:
         raise CameraFileError(
             f"the camera matrix has {matrix.size} numbers", "9, row by row"
         )
-    lens = numbers(_first(flat, DISTORTION_NAMES), "the distortion coefficients")
+    lens = numbers(_first(flat, _NAMES["distortion"]), "the distortion coefficients")
     if fisheye and not lens[4:].any():
         lens = lens[:4]
     if 0 < lens.size < 4:  # "k1" or "k1, k2": the rest is zero
@@ -123,11 +108,11 @@ def _from_names(document: Mapping[str, Any], where: str) -> Camera:
 
 
 def _size(flat: Mapping[str, Any]) -> tuple[int, int]:
-    stated = _first(flat, SIZE_NAMES)
+    stated = _first(flat, _NAMES["size"])
     if isinstance(stated, Mapping):
         stated = [stated.get("width"), stated.get("height")]
     if not isinstance(stated, list) or len(stated) != 2:
-        stated = [_first(flat, names) for names in SIDE_NAMES]
+        stated = [_first(flat, names) for names in _NAMES["sides"]]
     if None in stated:
         hint = (
             'add "image_width": 1920, "image_height": 1080; in YAML without quotation'
@@ -203,20 +188,15 @@ def _check(camera: Camera) -> None:
             numbers = " ".join(f"{v:g}" for v in row)
             hint = f"{_SHAPE}, not the transposed, and without skew"
             raise CameraFileError(f"the camera matrix's {name} row is {numbers}", hint)
-    for value, (low, high), _, what, hint, _ in _measures(camera):
-        if not low <= value <= high:
-            raise CameraFileError(what, hint)
+    for what, hint in _outside(camera, "may", "what", "hint"):
+        raise CameraFileError(what, hint)
 
 
 def camera_warnings(camera: Camera, claims: Mapping[str, Any]) -> list[str]:
     """Notices of what is unusual and may be meant, and of what a calibration admits of itself.
 
     claims : as of `calibration_claims`"""
-    doubts = {
-        doubt: None
-        for value, _, (low, high), _, _, doubt in _measures(camera)
-        if not low <= value <= high
-    }
+    doubts = dict.fromkeys(text for (text,) in _outside(camera, "usual", "doubt"))
     if claims.get("verdict") == "poor":
         why = "".join(f" ({str(r)[:200]})" for r in claims.get("reasons", ())[:1])
         text = f"its own verdict is poor{why}: sizes and perspective may be off"
@@ -224,52 +204,20 @@ def camera_warnings(camera: Camera, claims: Mapping[str, Any]) -> list[str]:
     return [f"camera calibration {camera.source}: {text}" for text in doubts]
 
 
-def _measures(camera: Camera) -> Iterator[tuple[Any, ...]]:
-    """Of each number its value; between what it may be, and what it usually is; of the first
-    what is wrong and what would be right, of the second what to doubt."""
-    size, side = (camera.width, camera.height), max(camera.width, camera.height)
-    wide = f"{camera.width}x{camera.height}"
-    may = (1, _LARGEST_PX)
-    yield side, may, may, f"a picture of {wide}", f"at most {_LARGEST_PX} px a side", ""
-    for name, focal in (("fx", camera.fx), ("fy", camera.fy)):
-        yield (
-            focal / side,
-            (0.02, 2000.0),  # 175 degrees of view, a hundredth of a degree
-            (0.15, 100.0),
-            f"{name} is {focal:g} px for a picture of {wide}",
-            f"a focal length in pixels, often about {side}",
-            f"a focal length of {camera.fx:g} px is unusual for {wide}",
-        )
-    both = f"fx {camera.fx:g} and fy {camera.fy:g}"
-    yield (
-        camera.fx / camera.fy,
-        (0.1, 10.0),
-        (1 / 1.5, 1.5),  # anamorphic video reaches 2
-        f"{both} are far apart",
-        "pixels are nearly square",
-        f"{both} px differ much: are the pixels that oblong?",
-    )
-    at = f"the principal point {camera.cx:g}, {camera.cy:g} lies"
-    for share in camera.matrix[:2, 2] / size:
-        yield (
-            share,
-            (-5.0, 6.0),
-            (0.0, 1.0),
-            f"{at} far outside the picture",
-            f"near the middle of {wide}",
-            f"{at} outside the picture: is it a crop?",
-        )
-    x, y = np.meshgrid(*(np.linspace(0, n - 1, 17) for n in size))
+def _outside(camera: Camera, bounds: str, *texts: str) -> list[list[str]]:
+    """Texts of those rules of the table whose bounds ("may" or "usual") a camera is outside of."""
+    size = np.array([camera.width, camera.height])
+    grid = np.meshgrid(*(np.linspace(0, n - 1, 17) for n in size))
     with np.errstate(all="ignore"):
-        seen = np.isfinite(camera.normalised(np.stack([x, y], -1))).all(-1).mean()
-    yield (
-        seen,
-        (0.05, 1.0),
-        (0.5, 1.0),  # a full circle of a fisheye lens has 0.55
-        "with its distortion almost no pixel has a viewing direction",
-        "calibrate again",
-        f"the distortion holds for {seen:.0%} of the picture only",
-    )
+        seen = np.isfinite(camera.normalised(np.stack(grid, -1))).all(-1).mean()
+    fx, fy, side = camera.fx, camera.fy, size.max()
+    cx, cy = camera.matrix[:2, 2] / size
+    shares = (side, fx / side, fy / side, fx / fy, cx, cy, seen)
+    return [
+        [rule[text].format(c=camera, side=side, seen=seen) for text in texts]
+        for rule, share in zip(TABLES["rules"], shares, strict=True)
+        if not rule[bounds][0] <= share <= rule[bounds][1]
+    ]
 
 
 def calibration_claims(path: str | Path) -> dict[str, Any]:

@@ -12,8 +12,9 @@ from __future__ import annotations
 import hashlib
 import re
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -25,7 +26,7 @@ from arfx.errors import InputError
 from arfx.media.clip import ClipInfo, match_by_time, match_in_order, probe, spacing_s
 from arfx.media.frame import Frame
 from arfx.media.frames import ClipReader
-from arfx.media.images import check_tiff, decode_picture
+from arfx.media.images import check_size, decode_picture
 from arfx.media.planes import planes_of
 
 TIFF = (".tif", ".tiff")
@@ -44,105 +45,69 @@ SIGMA = 6.0  # grey levels that count as an edge
 _FAINT = 1e-6  # a mask smoothed to less than this carries nothing: the nearest known value is used
 
 
-class _Reading(threading.local):
-    """Of each thread: the last map and its number, and the frames behind it."""
+class _Video(threading.local):
+    """Frames of a video as maps; of each thread the last one, and those behind it."""
 
     number = -2
     stored = np.zeros((0, 0), np.uint16)
     frames: Iterator[Frame] = iter(())
 
+    def __init__(self, info: ClipInfo, pts: list[int]) -> None:
+        """pts : of every frame, in order"""
+        self.info, self.pts = info, pts
 
-@dataclass(frozen=True, eq=False)
-class DepthVideo:
-    """pts : of every frame, in order;  times_s : of them after the first"""
-
-    info: ClipInfo
-    pts: tuple[int, ...]
-    times_s: tuple[float, ...]
-    reading: _Reading
-
-    @property
-    def count(self) -> int:
-        return len(self.pts)
-
-    def stored(self, number: int) -> np.ndarray:
+    def __call__(self, number: int) -> np.ndarray:
         """(h, w) uint16. Raises InputError where the frame cannot be decoded."""
-        last = self.reading
-        if number == last.number:
-            return last.stored
-        if number != last.number + 1:
-            last.frames = ClipReader(self.info, threads=1).frames(self.pts[number])
-        last.number, frame = -2, next(last.frames, None)
+        if number == self.number:
+            return self.stored
+        if number != self.number + 1:
+            self.frames = ClipReader(self.info, threads=1).frames(self.pts[number])
+        self.number, frame = -2, next(self.frames, None)
         if frame is None or frame.pts != self.pts[number]:
             what = f"map {number} cannot be decoded where it was listed"
             raise InputError(f"depth {self.info.path}: {what}", "the file is damaged")
         samples = planes_of(frame.picture, frame.format.layout)[0]
-        last.number, last.stored = number, samples[:, : frame.format.width]
-        return last.stored
+        self.number, self.stored = number, samples[:, : frame.format.width]
+        return self.stored
 
 
-@dataclass(frozen=True, eq=False)
-class DepthPages:
-    """Pages of a TIFF, which tell no times."""
-
-    path: Path
-    count: int
-    times_s: None = None
-
-    def stored(self, number: int) -> np.ndarray:
-        """(h, w[, channels]) as stored. Raises InputError where the page cannot be read."""
-        done, pages = cv2.imreadmulti(
-            str(self.path), number, 1, flags=cv2.IMREAD_UNCHANGED
-        )
-        if not done or len(pages) != 1:
-            raise InputError(
-                f"depth {self.path}: page {number} cannot be read",
-                "TIFF with 16-bit or float pages",
-            )
-        return np.asarray(pages[0])
-
-
-def open_frames(path: Path) -> DepthVideo | DepthPages:
-    """Raises InputError: not readable, or of a kind that holds no depth."""
-    if path.suffix.lower() in TIFF:
-        check_tiff(regular(path, "depth"), "depth map")
-        count = cv2.imcount(str(path), cv2.IMREAD_UNCHANGED)
-        if count < 1:
-            raise InputError(
-                f"depth {path} cannot be read as a TIFF", "16-bit or float pages"
-            )
-        return DepthPages(path, count)
+def _open_video(path: Path) -> tuple[_Video, tuple[float, ...]]:
+    """And the times of its frames after the first. Raises InputError: it holds no depth."""
     info = probe(path)
     if not re.fullmatch(r"gray1\d[lb]e", info.pixel_format):
-        hint = "grey of 16 bits: FFV1 gray16 in .mkv"
-        raise InputError(
-            f"depth {path} holds {info.pixel_format} pictures, not depth", hint
-        )
+        what = f"depth {path} holds {info.pixel_format} pictures, not depth"
+        raise InputError(what, "grey of 16 bits: FFV1 gray16 in .mkv")
     with ClipReader(info, threads=1) as reader:
         times = reader.times()
         pts = [frame.pts for frame in reader.frames()] if times is None else times.pts
     seconds = tuple(float((t - pts[0]) * info.time_base) for t in pts)
-    return DepthVideo(info, tuple(pts), seconds, _Reading())
+    return _Video(info, list(pts)), seconds
+
+
+def _page(path: Path, number: int) -> np.ndarray:
+    """(h, w[, channels]) of a TIFF as stored. Raises InputError where it cannot be read."""
+    done, pages = cv2.imreadmulti(str(path), number, 1, flags=cv2.IMREAD_UNCHANGED)
+    if not done or len(pages) != 1:
+        what = f"depth {path}: page {number} cannot be read"
+        raise InputError(what, "TIFF with 16-bit or float pages")
+    return np.asarray(pages[0])
 
 
 @dataclass(frozen=True)
 class DepthMaps:
-    """files : in order;  steps_per_m : stored values to a metre, None = by kind (integers:
-    millimetres, floats: metres)
+    """files : in order;  count : of maps;  steps_per_m : stored values to a metre, None = by kind
+    (integers: millimetres, floats: metres)
     times_s : of each map after the first one, where they are known, else None;  start_s :
     of the first, after the clip's
-    frames : the maps where one file holds them, else None: each file is one"""
+    read : gives each map where one file holds them, else None: each file is one"""
 
     path: Path
     files: tuple[Path, ...]
+    count: int
     steps_per_m: float | None
-    times_s: tuple[float, ...] | None
-    start_s: float = 0.0
-    frames: DepthVideo | DepthPages | None = None
-
-    @property
-    def count(self) -> int:
-        return len(self.files) if self.frames is None else self.frames.count
+    start_s: float
+    times_s: tuple[float, ...] | None = None
+    read: Callable[[int], np.ndarray] | None = None
 
     @property
     def still(self) -> bool:
@@ -151,11 +116,7 @@ class DepthMaps:
 
     def name(self, number: int) -> str:
         """What messages call a map."""
-        return (
-            str(self.files[number])
-            if self.frames is None
-            else f"{self.path}, map {number}"
-        )
+        return f"{self.path}, map {number}" if self.read else str(self.files[number])
 
     def of_frames(
         self, times_s: list[float], before: int, whole: bool
@@ -170,18 +131,12 @@ class DepthMaps:
             taken_s = np.array(self.times_s) + self.start_s
             found = match_by_time(taken_s, times_s, _REACH * spacing_s(self.times_s))
             return [None if m is None else m.nearest for m in found]
+        what = f"depth {self.path} holds {self.count} maps"
         hint = (
             "one map for each frame, or times in their names (1305031102.160407.png), or a"
             " single map"
         )
-        return match_in_order(
-            f"depth {self.path} holds {self.count} maps",
-            self.count,
-            len(times_s),
-            before,
-            whole,
-            hint,
-        )
+        return match_in_order(what, self.count, len(times_s), before, whole, hint)
 
     def load(self, number: int, width: int, height: int) -> np.ndarray:
         """(h, w) float32 metres of a map at its own size; nothing measured = 0.
@@ -190,12 +145,9 @@ class DepthMaps:
         stored = self._stored(number)
         h, w = stored.shape
         if abs(w * height / (h * width) - 1) > _ASPECT:
+            shapes = f"is {w}x{h}, the clip {width}x{height}: another shape"
             hint = "maps as the clip is shown, of its size or the same aspect ratio"
-            raise InputError(
-                f"depth map {self.name(number)} is {w}x{h}, the clip {width}x{height}:"
-                " another shape",
-                hint,
-            )
+            raise InputError(f"depth map {self.name(number)} {shapes}", hint)
         steps = self.steps_per_m or (_STEPS_A_METRE if stored.dtype.kind == "u" else 1.0)
         with np.errstate(all="ignore"):
             metres = stored.astype(np.float32) / np.float32(steps)
@@ -206,10 +158,10 @@ class DepthMaps:
 
     def _stored(self, number: int) -> np.ndarray:
         """(h, w) uint16 or float32."""
-        if self.frames is None:
-            raw = decode_picture(self.files[number], "depth map", cv2.IMREAD_UNCHANGED)
+        if self.read:
+            raw = self.read(number)
         else:
-            raw = self.frames.stored(number)
+            raw = decode_picture(self.files[number], "depth map", cv2.IMREAD_UNCHANGED)
         if raw.ndim != 2 or raw.dtype not in (np.uint16, np.float32):
             channels = 1 if raw.ndim == 2 else raw.shape[2]
             kind = f"{raw.dtype} with {channels} channel{'s' if raw.ndim > 2 else ''}"
@@ -221,12 +173,11 @@ class DepthMaps:
 
     def digest(self, number: int) -> str:
         """Of a map's file, or of its values."""
-        read = (
-            self.frames.stored(number).tobytes()
-            if self.frames
-            else read_bytes(self.files[number], "depth map")
-        )
-        return hashlib.blake2b(read, digest_size=8).hexdigest()
+        if self.read:
+            data = self.read(number).tobytes()
+        else:
+            data = read_bytes(self.files[number], "depth map")
+        return hashlib.blake2b(data, digest_size=8).hexdigest()
 
 
 def open_depth(
@@ -238,12 +189,19 @@ def open_depth(
     """
     if not is_folder(path, "depth"):
         suffix = path.suffix.lower()
-        if suffix not in (*SUFFIXES, *VIDEO):
+        if suffix in TIFF:
+            check_size(regular(path, "depth"), path, "depth map")
+            count = cv2.imcount(str(path), cv2.IMREAD_UNCHANGED)
+            page = partial(_page, path)
+            return DepthMaps(path, (path,), count, steps_per_m, start_s, None, page)
+        if suffix in VIDEO:
+            read, times_s = _open_video(path)
+            count = len(times_s)
+            return DepthMaps(path, (path,), count, steps_per_m, start_s, times_s, read)
+        if suffix not in SUFFIXES:
             hint = f"{_KINDS}; a folder of them; or a video of 16-bit grey (FFV1)"
             raise InputError(f"depth {path} is not a depth map", hint)
-        frames = open_frames(path) if suffix in (*TIFF, *VIDEO) else None
-        times_s = None if frames is None else frames.times_s
-        return DepthMaps(path, (path,), steps_per_m, times_s, start_s, frames)
+        return DepthMaps(path, (path,), 1, steps_per_m, start_s)
     inside = folder_entries(path, "depth folder")
     found = sorted((p for p in inside if p.suffix.lower() in SUFFIXES), key=_natural)
     if not found:
@@ -254,7 +212,7 @@ def open_depth(
     if len(kinds) > 1:
         what = f"depth folder {path} holds {' and '.join(kinds)} files"
         raise InputError(what, "maps of one kind only")
-    times_s = None
+    since_s = None
     # seconds in names have a fraction: 12.png is the twelfth map, not the twelfth second
     if len(found) > 1 and all(re.fullmatch(r"\d+\.\d+", p.stem) for p in found):
         found.sort(key=lambda p: float(p.stem))
@@ -262,8 +220,8 @@ def open_depth(
         if (np.diff(times) <= 0).any():
             what = f"depth folder {path}: two maps have the same time in their names"
             raise InputError(what)
-        times_s = tuple((times - times[0]).tolist())
-    return DepthMaps(path, tuple(found), steps_per_m, times_s, start_s)
+        since_s = tuple((times - times[0]).tolist())
+    return DepthMaps(path, tuple(found), len(found), steps_per_m, start_s, since_s)
 
 
 def _natural(path: Path) -> tuple[list[int | str], str]:

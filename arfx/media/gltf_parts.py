@@ -3,8 +3,8 @@ sections 3.5, 3.7)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from functools import cache
+from collections.abc import Callable, Iterator
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -13,11 +13,10 @@ from arfx.core.model import Material
 from arfx.core.numerics import normalise
 from arfx.core.pose import rotation_from_quaternion
 from arfx.errors import InputError
-from arfx.media.gltf import Buffers, read_header
-from arfx.media.gltf_materials import GltfMaterials
+from arfx.media.gltf import Gltf
+from arfx.media.gltf_materials import gltf_material
 from arfx.media.model_files import NO_TRIANGLES, ModelFile
-from arfx.media.model_materials import plain_material, unit_colours
-from arfx.media.model_parts import FileMesh, Placed
+from arfx.media.model_parts import Placed, Rows, plain_material, unit_colours
 
 _TRIANGLES, _STRIP = 4, 5
 _ROWS = {
@@ -31,92 +30,90 @@ _PLACES = ("translation", "rotation", "scale")
 _INSTANCES, _VISIBLE = "EXT_mesh_gpu_instancing", "KHR_node_visibility"
 
 
-class GltfScene:
-    """The scene that a file shows.
+def gltf_meshes(file: ModelFile) -> Iterator[Placed]:
+    """Each set of triangles of the scene that a file shows.
 
     Raises InputError: limits, what is missing or does not fit together."""
+    gltf = Gltf(file)
+    material_of = cache(partial(gltf_material, gltf))
+    triangles_of = cache(lambda number: list(_triangles_of(gltf, number, material_of)))
+    for number, model_from_mesh in _placed(gltf):
+        for faces, rows, material in triangles_of(number):
+            yield faces, rows, model_from_mesh, material
 
-    def __init__(self, file: ModelFile) -> None:
-        self._file, self._header = file, read_header(file)
-        self._nodes = self._header.get("nodes", [])
-        self._buffers = Buffers(file, self._header)
-        self._materials = GltfMaterials(file, self._header, self._buffers)
 
-    def __iter__(self) -> Iterator[Placed]:
-        """Each set of triangles, (4, 4) its place in the model, its material."""
-        triangles_of = cache(lambda number: list(self._triangles_of(number)))
-        for number, model_from_mesh in self._placed():
-            for mesh, material in triangles_of(number):
-                yield mesh, model_from_mesh, material
+def _placed(gltf: Gltf) -> Iterator[tuple[int, np.ndarray]]:
+    """Numbers of the meshes that are shown, each with its place in the model, (4, 4)."""
+    nodes = gltf.header.get("nodes", [])
+    waiting = [(number, np.eye(4)) for number in _roots(gltf, nodes)]
+    seen = set()
+    while waiting:
+        number, model_from_parent = waiting.pop()
+        if number in seen:
+            what = f"node {number} is below itself or below two others"
+            raise InputError(what, "nodes must form a tree")
+        seen.add(number)
+        node = nodes[number]
+        extensions = node.get("extensions", {})
+        if extensions.get(_VISIBLE, {}).get("visible") is False:
+            continue
+        model_from_node = model_from_parent @ _parent_from_node(node)
+        if "mesh" in node:
+            for node_from_mesh in _copies(gltf, extensions.get(_INSTANCES, {})):
+                yield node["mesh"], model_from_node @ node_from_mesh
+        waiting += [(child, model_from_node) for child in node.get("children", [])]
 
-    def _placed(self) -> Iterator[tuple[int, np.ndarray]]:
-        """Numbers of the meshes that are shown, each with its place in the model."""
-        waiting = [(number, np.eye(4)) for number in self._roots()]
-        seen = set()
-        while waiting:
-            number, model_from_parent = waiting.pop()
-            if number in seen:
-                what = f"node {number} is below itself or below two others"
-                raise InputError(what, "nodes must form a tree")
-            seen.add(number)
-            node = self._nodes[number]
-            extensions = node.get("extensions", {})
-            if extensions.get(_VISIBLE, {}).get("visible") is False:
-                continue
-            model_from_node = model_from_parent @ _parent_from_node(node)
-            if "mesh" in node:
-                for node_from_mesh in self._copies(extensions):
-                    yield node["mesh"], model_from_node @ node_from_mesh
-            waiting += [(child, model_from_node) for child in node.get("children", [])]
 
-    def _roots(self) -> list[int]:
-        """Those of the scene that is shown; of a file without scenes every node that is below
-        none."""
-        scenes = self._header.get("scenes", [])
-        if not scenes:
-            below = {child for node in self._nodes for child in node.get("children", [])}
-            return [number for number in range(len(self._nodes)) if number not in below]
-        shown = self._header.get("scene", 0)
-        if len(scenes) > 1:
-            what = f"{len(scenes)} scenes, number {shown} is shown (from 0 on)"
-            self._file.notices.append(what)
-        return list(scenes[shown].get("nodes", []))
+def _roots(gltf: Gltf, nodes: list[dict[str, Any]]) -> list[int]:
+    """Those of the scene that is shown; of a file without scenes every node that is below none."""
+    scenes = gltf.header.get("scenes", [])
+    if not scenes:
+        below = {child for node in nodes for child in node.get("children", [])}
+        return [number for number in range(len(nodes)) if number not in below]
+    shown = gltf.header.get("scene", 0)
+    if len(scenes) > 1:
+        what = f"{len(scenes)} scenes, number {shown} is shown (from 0 on)"
+        gltf.file.notices.append(what)
+    return list(scenes[shown].get("nodes", []))
 
-    def _copies(self, extensions: dict[str, Any]) -> Iterator[np.ndarray]:
-        """Where a node shows its mesh, (4, 4) in the node's axes."""
-        given = extensions.get(_INSTANCES, {}).get("attributes", {})
-        stated = [p for p in _PLACES if p.upper() in given]
-        if not stated:
-            yield np.eye(4)
-        columns = [self._buffers.array(given[p.upper()]) for p in stated]
-        self._file.check_counts(0, max(map(len, columns), default=0))
-        for row in zip(*columns, strict=False):
-            yield _parent_from_node(dict(zip(stated, row, strict=True)))
 
-    def _triangles_of(self, number: int) -> Iterator[tuple[FileMesh, Material]]:
-        for primitive in self._header["meshes"][number]["primitives"]:
-            given, mode = primitive["attributes"], primitive.get("mode", _TRIANGLES)
-            if "POSITION" not in given:
-                continue
-            if mode < _TRIANGLES:
-                self._file.notices.append(NO_TRIANGLES)
-                continue
-            read = self._buffers.array
-            rows = {
-                own: read(given[name], columns).astype(float)
-                for name, (own, columns) in _ROWS.items()
-                if name in given
-            }
-            corners = np.arange(len(rows["vertices"]))
-            if "indices" in primitive:
-                corners = read(primitive["indices"], 1)[:, 0].astype(np.int64)
-            if "COLOR_0" in given:
-                rows["colours"] = unit_colours(read(given["COLOR_0"]))
-            if "material" in primitive:
-                material = self._materials.of(primitive["material"], "colours" in rows)
-            else:
-                material = plain_material("colours" in rows, double_sided=False)
-            yield FileMesh(_triangles(corners, mode), rows), material
+def _copies(gltf: Gltf, instances: dict[str, Any]) -> Iterator[np.ndarray]:
+    """Where a node shows its mesh, (4, 4) in the node's axes."""
+    given = instances.get("attributes", {})
+    columns = {p: gltf.array(given[p.upper()]) for p in _PLACES if p.upper() in given}
+    if not columns:
+        yield np.eye(4)
+    for values in columns.values():
+        gltf.file.check_counts(0, len(values))
+    for row in zip(*columns.values(), strict=False):
+        yield _parent_from_node(dict(zip(columns, row, strict=True)))
+
+
+def _triangles_of(
+    gltf: Gltf, number: int, material_of: Callable[[int, bool], Material]
+) -> Iterator[tuple[np.ndarray, Rows, Material]]:
+    for primitive in gltf.header["meshes"][number]["primitives"]:
+        given, mode = primitive["attributes"], primitive.get("mode", _TRIANGLES)
+        if "POSITION" not in given:
+            continue
+        if mode < _TRIANGLES:
+            gltf.file.notices.append(NO_TRIANGLES)
+            continue
+        rows = {
+            own: gltf.array(given[name], columns).astype(float)
+            for name, (own, columns) in _ROWS.items()
+            if name in given
+        }
+        corners = np.arange(len(rows["vertices"]))
+        if "indices" in primitive:
+            corners = gltf.array(primitive["indices"], 1)[:, 0].astype(np.int64)
+        if coloured := "COLOR_0" in given:
+            rows["colours"] = unit_colours(gltf.array(given["COLOR_0"]))
+        if "material" in primitive:
+            material = material_of(primitive["material"], coloured)
+        else:
+            material = plain_material(coloured, double_sided=False)
+        yield _triangles(corners, mode), rows, material
 
 
 def _parent_from_node(node: dict[str, Any]) -> np.ndarray:

@@ -12,24 +12,26 @@ import importlib
 import io
 import re
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, cast
 
 import av
+import cv2
 import numpy as np
+from PIL import Image, UnidentifiedImageError
 
 from arfx.core.colour import SRGB
 from arfx.core.opener import read_bytes
 from arfx.errors import InputError, RenderError
 
-# kind of picture, as in opener.LIMITS -> (largest number of pixels, why this many)
-MAX_PIXELS: dict[str, tuple[int, str]] = {
-    "image": (1 << 25, "8192 x 4096, 400 MB in linear light"),
-    "depth map": (1 << 25, "8192 x 4096, four times the largest video"),
-    "pattern": (1 << 26, "a page scanned at 600 dpi, twice over"),
-    "picture": (1 << 28, "a telephone's 200 megapixels, decoded grey"),
+# kind of picture, as in opener.LIMITS -> largest number of pixels
+MAX_PIXELS = {
+    "image": 1 << 25,  # 8192 x 4096, 400 MB in linear light
+    "depth map": 1 << 25,  # 8192 x 4096, four times the largest video
+    "pattern": 1 << 26,  # a page scanned at 600 dpi, twice over
+    "picture": 1 << 28,  # a telephone's 200 megapixels, decoded grey
 }
 # longest side of a print's picture that is kept: twice what it is searched for with
 PRINT_PX = 1024
@@ -47,8 +49,6 @@ def write_png(path: Path, rgb: np.ndarray) -> None:
 
     Raises RenderError when it cannot be written.
     """
-    import cv2
-
     _, data = cv2.imencode(".png", rgb[..., ::-1] if rgb.ndim == 3 else rgb)
     _write(path, data.tobytes())
 
@@ -71,8 +71,6 @@ def write_exr(path: Path, linear: np.ndarray) -> None:
 def load_image(path: Path) -> np.ndarray:
     """Linear float32 RGB (h, w, 3) of an image: EXR and Radiance HDR as stored, others as sRGB.
     Raises InputError: missing, or not an image."""
-    import cv2
-
     raw = decode_picture(Path(path), "image", cv2.IMREAD_UNCHANGED)
     rgb = np.repeat(raw[..., None], 3, -1) if raw.ndim == 2 else raw[..., 2::-1]
     if rgb.dtype.kind == "f":
@@ -89,8 +87,6 @@ def _linear(coded: np.ndarray) -> np.ndarray:
 def load_print(path: Path) -> tuple[np.ndarray, float]:
     """Linear float32 RGB (h, w, 3) of a print's picture, upright and at most PRINT_PX long;
     and its height over its width. Raises InputError: missing, or not an image."""
-    import cv2
-
     rgb = decode_picture(Path(path), "pattern", cv2.IMREAD_COLOR)[..., ::-1]
     h, w = rgb.shape[:2]
     linear = _linear(rgb)
@@ -107,19 +103,19 @@ def _decode_exr(data: bytes) -> np.ndarray:
     return picture if picture.ndim == 2 else picture[..., 2::-1]
 
 
-def _exr_header(data: bytes) -> list[tuple[bytes, int, int]]:
-    """(name, where its value begins, bytes) of every attribute.
+def _exr_header(data: bytes) -> dict[bytes, tuple[int, int]]:
+    """By name where the value of an attribute begins, and its bytes.
 
     Raises ValueError, IndexError or struct.error where it is cut.
     """
-    at, found = 8, []
+    at, found = 8, {}
     while data[at]:
         name, kind = data[at : at + 512].split(b"\0", 2)[:2]
         at += len(name) + len(kind) + 6
         (size,) = struct.unpack_from("<i", data, at - 4)
         if size < 0:
             raise ValueError
-        found.append((name, at, size))
+        found[name] = at, size
         at += size
     return found
 
@@ -128,22 +124,22 @@ def _one_channel(data: bytes, path: Path) -> bytes:
     """A depth map's EXR with the channel that holds depth called Y, and no other that FFmpeg
     knows: Y is the only single one it reads. Raises InputError, and as `_exr_header`.
     """
-    at, size = {name: place for name, *place in _exr_header(data)}[b"channels"]
-    end, places = at + size, dict[bytes, int]()
+    at, size = _exr_header(data)[b"channels"]
+    end, ends = at + size, dict[bytes, int]()
     while at < end and data[at]:
         name = data[at:end].split(b"\0", 1)[0]
-        places[name] = at
+        ends[name] = at + len(name)
         at += len(name) + 17
-    wanted = next((n for n in _DEPTH_CHANNELS if n in places), None)
+    wanted = next((n for n in _DEPTH_CHANNELS if n in ends), None)
     if wanted is None:
-        held = ", ".join(n.decode(errors="replace") for n in places)
-        raise InputError(
-            f"depth map {path} holds the channels {held}, none of which is known as depth",
-            "one called Z, V, Y or R",
+        held = ", ".join(n.decode(errors="replace") for n in ends)
+        what = (
+            f"depth map {path} holds the channels {held}, none of which is known as depth"
         )
+        raise InputError(what, "one called Z, V, Y or R")
     renamed = bytearray(data)
-    for name, at in places.items():
-        renamed[at + len(name) - 1] = ord("Y" if name == wanted else "_")
+    for name, last in ends.items():
+        renamed[last - 1] = ord("Y" if name == wanted else "_")
     return bytes(renamed)
 
 
@@ -174,10 +170,8 @@ def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
     """As cv2.imdecode; of a depth map in an EXR the channel that holds it.
 
     Raises InputError: not a file of that kind, too large, damaged."""
-    import cv2
-
     data = read_bytes(path, kind)
-    _check_size(lambda: _sizes(data, path, kind), path, kind)
+    check_size(data, path, kind)
     try:
         if is_heif(data):
             grey = flags == cv2.IMREAD_GRAYSCALE
@@ -203,8 +197,6 @@ def open_picture(data: bytes, path: Path, kind: str) -> Any:
     """Pillow's picture, which is not decoded yet.
 
     Raises InputError where it is HEIC and the plug-in for it absent, and what Pillow raises."""
-    from PIL import Image
-
     Image.MAX_IMAGE_PIXELS = None  # our own limits hold, of which it would warn
     formats: tuple[str, ...] = _PILLOW
     if is_heif(data):
@@ -222,8 +214,6 @@ def exif_turn(path: Path) -> int:
     """EXIF's orientation of a picture that was decoded upright; 1 = as stored, also where
     none is stated.
     """
-    from PIL import Image
-
     try:
         with Image.open(path) as picture:
             turn = picture.info.get("original_orientation") or picture.getexif().get(
@@ -232,13 +222,6 @@ def exif_turn(path: Path) -> int:
             return int(turn) if turn in range(1, 9) else 1
     except Exception:  # whatever its header holds: the pixels were read
         return 1
-
-
-def check_tiff(path: Path, kind: str) -> None:
-    """Of every page of a TIFF that is too large to be read whole.
-
-    Raises InputError: damaged, or with more pixels than MAX_PIXELS[kind]."""
-    _check_size(lambda: _tiff_sizes(path), path, kind)
 
 
 def _tiff_sizes(source: Path | io.BytesIO) -> list[tuple[int, int]]:
@@ -254,45 +237,40 @@ def _tiff_sizes(source: Path | io.BytesIO) -> list[tuple[int, int]]:
     return list(sizes.values())
 
 
-def _check_size(
-    sizes: Callable[[], Sequence[tuple[int, int]]], path: Path, kind: str
-) -> None:
+def check_size(source: bytes | Path, path: Path, kind: str) -> None:
+    """Of every page of a picture; source : its bytes, or where a TIFF is that is too large for it.
+
+    Raises InputError: damaged, or with more pixels than MAX_PIXELS[kind]."""
     try:
-        pages = sizes()
+        pages = _sizes(source, path, kind)
     except InputError:
         raise
     except Exception as e:  # whatever the readers of headers stumble over
-        raise InputError(
-            f"{kind} {path} cannot be read: its header is damaged", "save it again"
-        ) from e
+        what = f"{kind} {path} cannot be read: its header is damaged"
+        raise InputError(what, "save it again") from e
     if not pages:
-        raise InputError(
-            f"{kind} {path} is not a picture that can be read",
-            f"{', '.join(_PILLOW)}, HDR or EXR",
-        )
-    most, _ = MAX_PIXELS[kind]
+        what = f"{kind} {path} is not a picture that can be read"
+        raise InputError(what, f"{', '.join(_PILLOW)}, HDR or EXR")
+    most = MAX_PIXELS[kind]
     for width, height in pages:
         if not 0 < width * height <= most:
-            raise InputError(
-                f"{kind} {path} is {width}x{height}",
-                f"at most {most / 1e6:.0f} megapixels: scale it down",
-            )
+            hint = f"at most {most / 1e6:.0f} megapixels: scale it down"
+            raise InputError(f"{kind} {path} is {width}x{height}", hint)
 
 
-def _sizes(data: bytes, path: Path, kind: str) -> Sequence[tuple[int, int]]:
+def _sizes(data: bytes | Path, path: Path, kind: str) -> Sequence[tuple[int, int]]:
     """(width, height) of every page as the header states it; none where the format is not known."""
-    from PIL import UnidentifiedImageError
-
+    if isinstance(data, Path):
+        return _tiff_sizes(data)
     if data.startswith(_TIFF):
         return _tiff_sizes(io.BytesIO(data))
     if data.startswith(b"#?"):
         found = _HDR.search(data[:65536])
         return [(int(found[2]), int(found[1]))] if found else []
     if data.startswith(_EXR):
+        held = _exr_header(data)
         windows = [
-            struct.unpack_from("<4i", data, at)
-            for name, at, _ in _exr_header(data)
-            if name in _WINDOWS
+            struct.unpack_from("<4i", data, held[n][0]) for n in _WINDOWS if n in held
         ]
         return [(right - left + 1, low - top + 1) for left, top, right, low in windows]
     try:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-import re
+import tomllib
 import unicodedata
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
+from PIL import Image
 
 from arfx.core.opener import read_bytes
 from arfx.errors import InputError
@@ -26,6 +27,7 @@ MAX_PARTS = 10_000
 MAX_TEXELS = 8192**2 + 2 * 4096**2
 # An 8k texture takes seconds and a gigabyte in software OpenGL; beyond it drivers refuse.
 MAX_TEXTURE_PX = 8192
+TABLES = tomllib.loads(Path(__file__).with_name("models.toml").read_text("utf-8"))
 DAMAGED = "the file is damaged or not what its name says"
 NO_TRIANGLES = "points and lines left out"
 # What Pillow may open: left to itself it also takes formats for which it starts other
@@ -44,18 +46,16 @@ class ModelFile:
         self.files = [path]
         self.notices: list[str] = []
         self._folder = path.absolute().parent.resolve()
-        self._names: dict[Path, dict[str, str]] = {}
         self._pictures: dict[Any, np.ndarray | None] = {}
         self._texels = 0
 
     def check_counts(self, faces: int, parts: int = 0) -> None:
         """Raises InputError: there are more than can be handled."""
-        for count, most, what, hint in (
-            (faces, MAX_FACES, "faces", "simplify it first"),
-            (parts, MAX_PARTS, "parts or materials", "join them first"),
-        ):
-            if count > most:
-                raise InputError(f"it has more than {most} {what}", hint)
+        if faces > MAX_FACES:
+            raise InputError(f"it has more than {MAX_FACES} faces", "simplify it first")
+        if parts > MAX_PARTS:
+            what = f"it has more than {MAX_PARTS} parts or materials"
+            raise InputError(what, "join them first")
 
     def picture(
         self, name: Any, content: Callable[[], bytes] | None = None
@@ -88,11 +88,10 @@ class ModelFile:
             raise InputError(what, "scale them down")
         try:
             with image:
-                if image.mode.startswith(
-                    "I"
-                ):  # 16-bit greys, which Pillow cuts off at 255
-                    grey = np.clip(np.asarray(image) >> 8, 0, 255).astype(np.uint8)
-                    return np.dstack([grey] * 3 + [np.full_like(grey, 255)])
+                # 16-bit greys, which Pillow cuts off at 255
+                if image.mode.startswith("I"):
+                    grey = np.clip(np.asarray(image) >> 8, 0, 255)
+                    image = Image.fromarray(grey.astype(np.uint8))
                 return np.asarray(image.convert("RGBA"))
         except (OSError, ValueError, SyntaxError) as e:  # Pillow decodes late
             what = "a texture is damaged or cut short"
@@ -100,8 +99,6 @@ class ModelFile:
 
     def _opened(self, content: bytes) -> Any:
         """Pillow's picture of one of PICTURES; None: it is none of these, or damaged."""
-        from PIL import Image
-
         try:
             return Image.open(io.BytesIO(content), formats=PICTURES)
         except Image.UnidentifiedImageError:
@@ -138,11 +135,10 @@ class ModelFile:
         """Exporters write names with %20, in quotation marks, in other case, with umlauts
         composed or not, and paths of the machine that they ran on: the file may lie beside
         the model. Raises InputError."""
-        name = name.strip()
-        plain = name.strip("\"'")
-        bare = re.split(r"[/\\]", unquote(plain))[-1]
+        plain = name.strip().strip("\"'")
+        usual = unquote(plain).replace("\\", "/")
         outside = False
-        for candidate in (name, plain, unquote(plain), plain.replace("\\", "/"), bare):
+        for candidate in (plain, usual, usual.rpartition("/")[2]):
             with contextlib.suppress(OSError, ValueError):  # too long, a NUL in it
                 place = Path(os.path.normpath(self._folder / candidate))
                 if not place.is_relative_to(self._folder):
@@ -158,23 +154,20 @@ class ModelFile:
         if outside:
             what = f"{shown}, which lies outside its folder {self._folder}"
             raise InputError(what, "put it into the model's folder")
-        raise InputError(
-            f"{shown}, which is not in its folder {self._folder}", "put it there"
-        )
+        what = f"{shown}, which is not in its folder {self._folder}"
+        raise InputError(what, "put it there")
 
     def _alike(self, place: Path) -> Path:
         """The same path; under the names that are on the disk, where they differ in case or
         in how umlauts are written."""
         path = self._folder
         for name in place.relative_to(path).parts:
-            if path not in self._names:
-                inside = path.resolve().is_relative_to(self._folder) and path.is_dir()
-                on_disk = sorted(os.listdir(path)) if inside else []  # noqa: PTH208
-                self._names[path] = {_folded(n): n for n in on_disk} | {
-                    n: n for n in on_disk
-                }
-            names = self._names[path]
-            path /= names.get(name) or names.get(_folded(name), name)
+            inside = path.resolve().is_relative_to(self._folder) and path.is_dir()
+            on_disk = sorted(os.listdir(path)) if inside else []  # noqa: PTH208
+            if name not in on_disk:
+                alike = (n for n in on_disk if _folded(n) == _folded(name))
+                name = next(alike, name)
+            path /= name
         return path
 
 

@@ -1,63 +1,56 @@
-"""Triangles of a file under their node's transform made into a part of the model, whatever the
-format."""
+"""What all model files share: triangles under their node's transform made into a part of the
+model; colours, and materials whose numbers are in range."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
+from PIL import Image
 
-from arfx.core.model import Material, Part
+from arfx.core.colour import SRGB
+from arfx.core.model import BLEND, MASK, OPAQUE, Material, Part
 from arfx.core.numerics import normalise, same_rows
+from arfx.core.scene_mesh import across
 from arfx.errors import InputError
 from arfx.media.model_normals import corner_normals, corner_tangents
 
 # Squared double area below which a triangle has no plane, as a fraction of the model's extent to
 # the fourth power: float32 coordinates are exact to 6e-8 of the extent, a height below is rounding.
 _DEGENERATE = (6e-8) ** 4
+_BRIGHTEST = 1e6  # emission, where white paper in full light is 1
+_UNIT = ("metallic", "roughness", "clearcoat", "clearcoat_roughness", "sheen_roughness")
 
 
-@dataclass(frozen=True, eq=False)
-class FileMesh:
-    """Triangles of one material as a file gives them, in the mesh's own axes.
-
-    faces : (m, 3) int
-    rows : by name what each vertex has: "vertices" (n, 3), and where the file gives them "normals",
-        "uv", "second_uv", "colours", "tangents", as of core.model.Part; unusable ones are left out
-    face_colours : (m, 4) linear, or None"""
-
-    faces: np.ndarray
-    rows: dict[str, np.ndarray]
-    face_colours: np.ndarray | None = None
-
-
-Placed = tuple[FileMesh, np.ndarray, Material]  # with its place in the model, (4, 4)
+Rows = dict[str, np.ndarray]
+Placed = tuple[np.ndarray, Rows, np.ndarray, Material]  # what `part_of` takes
 
 
 def part_of(
-    mesh: FileMesh,
-    model_from_mesh: np.ndarray,
-    material: Material,
+    faces: np.ndarray, given: Rows, model_from_mesh: np.ndarray, material: Material
 ) -> Part | None:
     """A part of the model, without faces that have no area; None where none is left.
 
+    faces : (m, 3) int, of one material
+    given : by name what each vertex has, in the mesh's own axes: "vertices" (n, 3), and where the
+        file gives them "normals", "uv", "second_uv", "colours", "tangents", as of core.model.Part;
+        unusable ones are left out
     model_from_mesh : (4, 4)
     Raises InputError: faces of vertices that there are not, numbers that are not finite."""
-    if not len(mesh.faces):
+    if not len(faces):
         return None
-    _check(mesh, model_from_mesh)
-    rows, faces, linear = _usable(mesh.rows), mesh.faces, model_from_mesh[:3, :3]
-    side = float(np.sign(np.linalg.det(linear))) or 1.0
+    rows, linear = dict(given), model_from_mesh[:3, :3]
     rows["vertices"] = rows["vertices"] @ linear.T + model_from_mesh[:3, 3]
+    _check(rows["vertices"], faces)
+    rows = _usable(rows)
+    side = float(np.sign(np.linalg.det(linear))) or 1.0
     if side < 0:  # a mirror turns every triangle inside out
         faces = faces[:, ::-1]
     keep = _have_area(rows["vertices"], faces)
     faces = faces[keep]
     if not len(faces):
         return None
-    if mesh.face_colours is not None:
-        colours = np.repeat(mesh.face_colours[keep], 3, 0)
-        faces, rows = _split(faces, rows, "colours", colours)
+    own = {}  # what corners have, whatever vertex they are of
     if "normals" in rows:
         # the inverse transpose turns normals rightly under any matrix; times the determinant
         # it is there for every one, and a mirror's turns them inwards
@@ -69,61 +62,116 @@ def part_of(
         if len(rows) == 1:  # nothing else keeps vertices at one place apart
             first, number = same_rows(rows["vertices"])
             rows, faces = {"vertices": rows["vertices"][first]}, number[faces]
-        normals = corner_normals(rows["vertices"], faces)
-        faces, rows = _split(faces, rows, "normals", normals)
-    texture = material.normal_texture or material.clearcoat_normal_texture
-    part = Part(faces=faces, material=material, **rows)
-    uv = None if texture is None else part.uv_on(texture)
-    if uv is None:
-        rows.pop("tangents", None)
-    elif "tangents" in rows:
+        own["normals"] = corner_normals(rows["vertices"], faces)
+    if "tangents" in rows:
         along = normalise(rows["tangents"][:, :3] @ linear.T)
         signs = side * np.sign(rows["tangents"][:, 3])
         rows["tangents"] = np.column_stack([along, signs])
-    else:
-        tangents = corner_tangents(rows["vertices"], faces, rows["normals"], uv)
-        faces, rows = _split(faces, rows, "tangents", tangents)
-    used, number = np.unique(faces, return_inverse=True)
-    rows = {name: values[used] for name, values in rows.items()}
-    faces = number.reshape(-1, 3).astype(np.int32)
-    return Part(faces=faces, material=material, **rows)
+    part = _indexed(faces, rows, own, material)
+    texture = material.normal_texture or material.clearcoat_normal_texture
+    uv = None if texture is None else part.uv_on(texture)
+    if uv is None:
+        return replace(part, tangents=None)
+    if part.tangents is not None:
+        return part
+    tangents = corner_tangents(part.vertices, part.faces, part.normals, uv)
+    return _indexed(faces, rows, own | {"tangents": tangents}, material)
 
 
-def _check(mesh: FileMesh, model_from_mesh: np.ndarray) -> None:
-    given, faces = mesh.rows["vertices"], mesh.faces
-    if faces.min() < 0 or faces.max() >= len(given):
-        what = f"faces refer to vertex {faces.max()}, there are {len(given)}"
+def _check(vertices: np.ndarray, faces: np.ndarray) -> None:
+    count = len(vertices)
+    if not 0 <= faces.min() <= faces.max() < count:
+        what = f"faces refer to vertex {faces.max()}, there are {count}"
         raise InputError(what, "the file is damaged")
-    if not np.isfinite(model_from_mesh).all():
-        raise InputError("a node's transform is not finite")
-    if bad := int((~np.isfinite(given)).any(1).sum()):
-        what = f"{bad} of {len(given)} vertices are not finite numbers"
+    if bad := int((~np.isfinite(vertices)).any(1).sum()):
+        what = f"{bad} of {count} vertices are not finite numbers"
         raise InputError(what, "export it again; look for NaN or inf")
 
 
-def _usable(rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _usable(rows: Rows) -> Rows:
     """Those of the right length, with all numbers finite; of texture coordinates single ones may
     be 0."""
     out = {}
     for name, values in rows.items():
-        finite = np.isfinite(values).all(1)
+        finite = np.isfinite(values).all(1, keepdims=True)
         if len(values) == len(rows["vertices"]) and (name.endswith("uv") or finite.all()):
-            out[name] = np.where(finite[:, None], values, 0.0)
+            out[name] = np.where(finite, values, 0.0)
     return out
 
 
 def _have_area(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(m,) bool."""
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    extent = float(np.ptp(vertices[faces.ravel()], axis=0).max())
-    return np.asarray((np.cross(b - a, c - a) ** 2).sum(1) > _DEGENERATE * extent**4)
+    corners = vertices[faces]
+    extent = float(np.ptp(corners, axis=(0, 1)).max())
+    return np.asarray((across(corners) ** 2).sum(1) > _DEGENERATE * extent**4)
 
 
-def _split(
-    faces: np.ndarray, rows: dict[str, np.ndarray], name: str, values: np.ndarray
-) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Faces and rows of vertices of which each has one of the values (3 m, k) of its corners."""
+def _indexed(
+    faces: np.ndarray,
+    rows: Rows,
+    own: Rows,
+    material: Material,
+) -> Part:
+    """Of those vertices that faces use, once for all corners that have the same of their own.
+
+    rows : (n, k) of vertices;  own : (3 m, k) of the corners of faces (m, 3)"""
     corners = faces.ravel()
-    first, number = same_rows(np.column_stack([corners, values]))
-    rows = {name: given[corners[first]] for name, given in rows.items()}
-    return number.reshape(-1, 3), rows | {name: values[first]}
+    first, number = same_rows(np.column_stack([corners, *own.values()]))
+    shared = {name: values[corners[first]] for name, values in rows.items()}
+    split = {name: values[first] for name, values in own.items()}
+    numbers = number.reshape(-1, 3).astype(np.int32)
+    return Part(faces=numbers, material=material, **(shared | split))
+
+
+def plain_material(has_colours: bool, double_sided: bool) -> Material:
+    """Of a mesh that has none: light grey, white where vertices have colours of their own."""
+    grey = 1.0 if has_colours else 0.8
+    return Material(base_colour=(grey, grey, grey, 1.0), double_sided=double_sided)
+
+
+def shares(values: np.ndarray) -> np.ndarray:
+    """Whole numbers as shares of the largest one, at least -1; floats as they are."""
+    if values.dtype.kind == "f":
+        return values
+    return np.maximum(values / np.iinfo(values.dtype).max, -1.0)
+
+
+def unit_colours(values: np.ndarray) -> np.ndarray:
+    """(n, 4) between 0 and 1 of red, green, blue and maybe alpha (n, 3 or 4), whole numbers as
+    `shares`; what is no number leaves a colour alone."""
+    out = np.ones((len(values), 4))
+    out[:, : values.shape[1]] = np.nan_to_num(shares(values), nan=1, posinf=1, neginf=1)
+    return np.clip(out, 0.0, 1.0)
+
+
+def linear_colours(display: np.ndarray) -> np.ndarray:
+    """(n, 4) of display colours (sRGB) as `unit_colours` takes them."""
+    out = unit_colours(display)
+    out[:, :3] = SRGB.decode(out[:, :3])
+    return out
+
+
+def resized(picture: np.ndarray, wide: int, high: int) -> np.ndarray:
+    """A picture (h, w, 4) uint8 of another size."""
+    return np.asarray(Image.fromarray(picture).resize((wide, high)))
+
+
+def checked(material: Material) -> Material:
+    """The same, what is a share between 0 and 1, and opaque where its alpha mode is none.
+
+    Raises InputError: one of its numbers is out of range; ValueError: a colour has too few or
+    too many."""
+    colours = (material.base_colour, material.emissive, material.sheen_colour)
+    if [len(colour) for colour in colours] != [4, 3, 3]:
+        raise ValueError
+    given = vars(material).values()
+    numbers = [np.ravel(x) for x in given if isinstance(x, (float, tuple))]
+    numbers += [t.picture_from_uv.ravel() for t in material.textures.values()]
+    if not (np.abs(np.concatenate(numbers)) <= _BRIGHTEST).all():
+        what = f"material {material.name!r} holds numbers that are not finite, or above"
+        raise InputError(f"{what} {_BRIGHTEST:g}", "export it again")
+    mode = material.alpha_mode.upper()
+    shares = {name: min(max(getattr(material, name), 0.0), 1.0) for name in _UNIT}
+    return replace(
+        material, alpha_mode=mode if mode in (MASK, BLEND) else OPAQUE, **shares
+    )

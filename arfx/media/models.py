@@ -7,7 +7,6 @@ repaired is in `Model.notices`. Leaves out: skins, animation, morph targets, lin
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,24 +15,13 @@ import numpy as np
 from arfx.core.model import Model, Part
 from arfx.core.opener import read_bytes
 from arfx.errors import ArfxError, InputError
-from arfx.media.gltf_parts import GltfScene
-from arfx.media.model_files import DAMAGED, ModelFile
-from arfx.media.model_parts import Placed, part_of
+from arfx.media.gltf_parts import gltf_meshes
+from arfx.media.model_files import DAMAGED, TABLES, ModelFile
+from arfx.media.model_parts import part_of
 from arfx.media.obj_files import obj_meshes
 from arfx.media.trimesh_models import trimesh_meshes
 
-# Formats that are read, with their up axis: glTF says y (section 3.4), COLLADA and OBJ exporters
-# default to it; scans and CAD use z. Others that trimesh knows are left out: archives, which may
-# unpack to anything, and formats without faces.
-_UP = {
-    "glb": "y",
-    "gltf": "y",
-    "obj": "y",
-    "dae": "y",
-    "ply": "z",
-    "stl": "z",
-    "off": "z",
-}
+_UP = TABLES["up"]
 # Recognised by content, whatever the name says.
 _BEGINNINGS = {b"glTF": "glb", b"ply\n": "ply", b"ply\r": "ply"}
 # Beyond this float32 coordinates, which renderers use, step by more than a thousandth of a unit
@@ -45,7 +33,7 @@ _MOST_NOTICES = 20
 def load_model(path: Path | str, up: str | None = None) -> Model:
     """Read a model file.
 
-    path : one of the formats above; textures beside it, names with spaces included
+    path : of a format in models.toml; textures beside it, names with spaces included
     up : "x", "y" or "z", the file axis that points up; None = of its kind (glTF, OBJ, DAE: y)
 
     Returns a Model in the file's own axes and units, faces counter-clockwise from outside, normals
@@ -58,7 +46,11 @@ def load_model(path: Path | str, up: str | None = None) -> Model:
         with np.errstate(all="ignore"):
             parts = _read(file)
         model = Model(tuple(parts), up or _UP[file.kind], str(path))
-        _check_extent(model)
+        extent, furthest = np.ptp(model.bounds, 0).max(), np.abs(model.bounds).max()
+        if not 0 < extent <= MAX_EXTENT or furthest > MAX_EXTENT:
+            what = f"it spans {extent:g} units up to coordinate {furthest:g}"
+            below = f"an extent above 0 and coordinates below {MAX_EXTENT:g}"
+            raise InputError(what, f"{below}; look for stray vertices")
     except ArfxError as e:
         raise InputError(f"cannot read model {path}: {e.message}", e.hint) from e
     except Exception as e:  # parsers raise whatever they stumble over
@@ -88,12 +80,11 @@ def _kind(path: Path, data: bytes) -> str:
 
 
 def _read(file: ModelFile) -> list[Part]:
-    readers: dict[str, Callable[[ModelFile], Iterable[Placed]]]
-    readers = {"glb": GltfScene, "gltf": GltfScene, "obj": obj_meshes}
+    readers = {"glb": gltf_meshes, "gltf": gltf_meshes, "obj": obj_meshes}
     placed, faces = [], 0
     for found in readers.get(file.kind, trimesh_meshes)(file):
         placed.append(found)
-        faces += len(found[0].faces)
+        faces += len(found[0])
         file.check_counts(faces, len(placed))
     made = [part_of(*found) for found in placed]
     parts = [part for part in made if part is not None]
@@ -103,15 +94,3 @@ def _read(file: ModelFile) -> list[Part]:
         hint = "a mesh with triangles is needed; points and lines cannot be rendered"
         raise InputError("it has no faces", hint)
     return parts
-
-
-def _check_extent(model: Model) -> None:
-    low, high = model.bounds
-    extent, furthest = float((high - low).max()), float(np.abs(model.bounds).max())
-    if not extent > 0 or extent > MAX_EXTENT or furthest > MAX_EXTENT:
-        hint = (
-            f"an extent above 0 and coordinates below {MAX_EXTENT:g}; look for stray"
-            " vertices"
-        )
-        what = f"spans {extent:g} units up to coordinate {furthest:g}"
-        raise InputError(f"it {what}", hint)

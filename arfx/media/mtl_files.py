@@ -8,6 +8,7 @@ map_Bump is a normal map where it has colours. Leaves out: `Tr`, of which export
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -15,17 +16,10 @@ import numpy as np
 
 from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, CLAMP, OPAQUE, REPEAT, Material, Texture
-from arfx.media.model_files import ModelFile
-from arfx.media.model_materials import checked, resized
+from arfx.media.model_files import TABLES, ModelFile
+from arfx.media.model_parts import checked, resized
 
-# Options of maps and how many values they take at most; those that are read, or change nothing.
-_OPTIONS = dict.fromkeys(
-    ("-clamp", "-imfchan", "-cc", "-bm", "-boost", "-blendu", "-blendv"), 1
-)
-_OPTIONS |= {"-texres": 1, "-type": 1, "-s": 3, "-o": 3, "-t": 3, "-mm": 2}
-_READ = ("-s", "-o", "-clamp", "-bm", "-boost", "-blendu", "-blendv", "-texres", "-type")
-_MAPS = ("map_kd", "map_ke", "map_pr", "map_pm", "norm", "map_bump", "bump")
-_OTHER_MAPS = ("map_", "disp", "decal", "refl")
+_MTL = TABLES["mtl"]
 _GREY = 0.4  # display colour of a material that states neither Kd nor a map
 _SHEEN_ROUGHNESS = 0.5  # MTL has none
 
@@ -48,10 +42,9 @@ def mtl_material(
         left_out[f"grey heights of {m.stated[bumps][0]}"] = None
         normal = None
     display = m.colour("kd", _GREY if base is None else 1.0)
-    red, green, blue = SRGB.decode(np.clip(display, 0, 1)).tolist()
-    alpha, sheen = (
-        min(max(m.number(k, d), 0.0), 1.0) for k, d in (("d", 1.0), ("ps", 0.0))
-    )
+    shares = np.clip([*display, m.number("d", 1.0), m.number("ps", 0.0)], 0, 1)
+    red, green, blue = SRGB.decode(shares[:3]).tolist()
+    alpha, sheen = shares[3:].tolist()
     shine = 2.0 / (max(m.number("ns", 0.0), 0.0) + 2.0)
     material = Material(
         name=name,
@@ -84,16 +77,17 @@ class _Statements:
     ) -> None:
         self._file, self._left_out = file, left_out
         rows = (row for line in lines if len(row := line.split(None, 1)) == 2)
-        self.stated = {key.lower(): (key, value.strip()) for key, value in rows}
-        base = self.stated.get("map_kd", ("", ""))[1]
+        self.stated: dict[str, tuple[str, str]] = defaultdict(lambda: ("", ""))
+        self.stated.update((key.lower(), (key, value.strip())) for key, value in rows)
+        base = self.stated["map_kd"][1]
         for key, (written, value) in self.stated.items():
-            unread = key.startswith(_OTHER_MAPS) and key not in _MAPS
+            unread = key.startswith(tuple(_MTL["other_maps"])) and key not in _MTL["maps"]
             if unread and not (key == "map_ka" and value == base):
                 left_out[written] = None
 
     def _numbers(self, key: str) -> list[float]:
         """[] where it is not stated, or no number."""
-        written, value = self.stated.get(key, ("", ""))
+        written, value = self.stated[key]
         value = value.split("#")[0].strip().removeprefix("-halo").strip()
         out = numbers(value.split())
         if value and not out:
@@ -110,14 +104,14 @@ class _Statements:
 
     def options(self, key: str, option: str) -> list[float]:
         """Numbers of an option of a map."""
-        return numbers(_options(self.stated.get(key, ("", ""))[1])[0].get(option, []))
+        return numbers(_options(self.stated[key][1])[0].get(option, []))
 
     def texture(self, key: str) -> Texture | None:
         """`map_Kd -s 2 2 -o .5 0 name of a file.png`. Raises InputError."""
-        written, value = self.stated.get(key, ("", ""))
+        written, value = self.stated[key]
         options, name = _options(value)
         for option, words in options.items():
-            if option not in _READ and words[:1] != ["off"]:
+            if option not in _MTL["read"] and words[:1] != ["off"]:
                 self._left_out[f"{option} of {written}"] = None
         picture = self._file.picture(name) if name else None
         if picture is None:
@@ -133,8 +127,8 @@ class _Statements:
 def _options(value: str) -> tuple[dict[str, list[str]], str]:
     """Options of a map with their values, and the name of its file, which may hold blanks."""
     options: dict[str, list[str]] = {}
-    while value and (option := value.split(None, 1)[0].lower()) in _OPTIONS:
-        most = _OPTIONS[option]
+    while value and (option := value.split(None, 1)[0].lower()) in _MTL["options"]:
+        most = _MTL["options"][option]
         words = value.split(None, most + 1)[1:]
         count = 1
         if most > 1:

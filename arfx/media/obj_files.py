@@ -16,9 +16,8 @@ import numpy as np
 
 from arfx.core.model import Material
 from arfx.errors import InputError
-from arfx.media.model_files import DAMAGED, MAX_FACES, ModelFile
-from arfx.media.model_materials import linear_colours, plain_material
-from arfx.media.model_parts import FileMesh, Placed
+from arfx.media.model_files import ModelFile
+from arfx.media.model_parts import Placed, linear_colours, plain_material
 from arfx.media.mtl_files import mtl_material
 
 _FILE = re.compile(r'"([^"]+)"|(\S.*?\.mtl(?=\s|$)|\S+)', re.IGNORECASE)
@@ -42,25 +41,23 @@ def obj_meshes(file: ModelFile) -> Iterator[Placed]:
     rows: dict[str, list[str]] = {"v": [], "vt": [], "vn": [], "mtllib": []}
     faces_of: dict[str, list[str]] = {}
     faces = faces_of.setdefault("", [])
-    read = 0
     text = re.sub(r"\\\r?\n", " ", decoded(file.data)).replace("\t", " ")
-    for line in io.StringIO(text, newline=None):
+    text = text.replace("\r", "\n")
+    # ten lines of a face: its own, three corners with place, coordinates and normal each
+    file.check_counts(text.count("\n") // 10)
+    for line in io.StringIO(text):
         kind, _, rest = line.strip().partition(" ")
         if kind == "f":
-            read += 1
-            file.check_counts(read)
             faces.append(rest)
         elif kind in rows:
             rows[kind].append(rest)
-            if len(rows[kind]) > 3 * MAX_FACES:
-                what = f"it holds more than {3 * MAX_FACES} lines of {kind}"
-                raise InputError(what, DAMAGED)
         elif kind == "usemtl":
             faces = faces_of.setdefault(_key(rest), [])
-            file.check_counts(read, len(faces_of) - 1)
+            file.check_counts(0, len(faces_of) - 1)
+    file.check_counts(sum(map(len, faces_of.values())))
     materials = _materials(file, rows["mtllib"], list(faces_of)[1:])
     places = _table(rows["v"], 6)
-    # By what FileMesh calls them, and their number's place in a corner; v counts from the bottom.
+    # By what `part_of` calls them, and their number's place in a corner; v counts from the bottom.
     tables = {
         ("vertices", 0): places[:, :3],
         ("uv", 1): _table(rows["vt"], 2) * (1, -1) + (0, 1),
@@ -81,7 +78,7 @@ def obj_meshes(file: ModelFile) -> Iterator[Placed]:
             if len(table) > 1
         }
         if len(triangles):
-            yield FileMesh(triangles, own), np.eye(4), materials.get(name, plain)
+            yield triangles, own, np.eye(4), materials.get(name, plain)
 
 
 def _materials(file: ModelFile, lists: list[str], used: list[str]) -> dict[str, Material]:
@@ -118,12 +115,10 @@ def _materials(file: ModelFile, lists: list[str], used: list[str]) -> dict[str, 
 
 def _names(file: ModelFile, line: str) -> list[str]:
     """Of a line of mtllib: one name with blanks, or several."""
-    several = [quoted or plain for quoted, plain in _FILE.findall(line)]
-    if len(several) > 1:
-        with contextlib.suppress(InputError):
-            file.find(line)
-            return [line]
-    return several
+    with contextlib.suppress(InputError):
+        file.find(line)
+        return [line]
+    return [quoted or plain for quoted, plain in _FILE.findall(line)]
 
 
 def _key(name: str) -> str:

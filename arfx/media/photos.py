@@ -85,8 +85,7 @@ def write_photo(part: Path, chunk: Path, source: Path, suffix: str) -> None:
     if suffix == ".png":
         part.write_bytes(_png(rgb, profile, exif.removeprefix(b"Exif\0\0")))
         return
-    picture = Image.fromarray(rgb)
-    picture.save(
+    Image.fromarray(rgb).save(
         part,
         "JPEG",
         quality=_JPEG_QUALITY,

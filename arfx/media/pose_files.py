@@ -46,38 +46,27 @@ class CameraPath:
         """
         given = self.camera_from_given
         if self.times_s is None:
-            held, hint = (
-                len(given),
-                "one line for each frame, or the time in seconds before each pose",
-            )
-            found = match_in_order(
-                f"poses {self.path} hold {held} lines",
-                held,
-                len(times_s),
-                before,
-                whole,
-                hint,
-            )
+            what, held = f"poses {self.path} hold {len(given)} lines", len(given)
+            hint = "one line for each frame, or the time in seconds before each pose"
+            found = match_in_order(what, held, len(times_s), before, whole, hint)
             return [None if k is None else (given[k], True) for k in found]
-        if (usual := spacing_s(self.times_s)) > gap_s + spacing_s(times_s):
+        spacing, usual = spacing_s(times_s), spacing_s(self.times_s)
+        if usual > gap_s + spacing:
             raise InputError(
                 f"poses {self.path} are {usual:g} s apart: over more than {gap_s:g} s it is"
                 " not known how the camera moved",
                 "a pose for each frame, or at least several a second",
             )
-        near_s = 0.5 * spacing_s(times_s) + _ROUNDING_S
-        matches = match_by_time(
-            np.array(self.times_s), times_s, near_s, gap_s + spacing_s(times_s)
-        )
+        near_s, taken_s = 0.5 * spacing + _ROUNDING_S, np.array(self.times_s)
+        matches = match_by_time(taken_s, times_s, near_s, gap_s + spacing)
         return [None if m is None else (self._between(m), m.near) for m in matches]
 
     def _between(self, m: Match) -> Pose:
         first, second = self.camera_from_given[m.before], self.camera_from_given[m.after]
         if m.share in (0.0, 1.0):
             return second if m.share else first
-        return (
-            first.inverse().towards(second.inverse(), m.share).inverse()
-        )  # the camera moves straight, not the world
+        # the camera moves straight, not the world
+        return first.inverse().towards(second.inverse(), m.share).inverse()
 
 
 def load_poses(path: Path) -> CameraPath:
@@ -95,13 +84,9 @@ def load_poses(path: Path) -> CameraPath:
     columns = len(given[0][1])
     for number, words in given:
         if len(words) != columns or columns not in (7, 8) or not _is_pose(words):
-            where, hint = (
-                f"poses {path}, line {number}",
-                "tx ty tz qx qy qz qw, perhaps the time before them",
-            )
-            raise InputError(
-                f"{where}: {' '.join(words[:9])[:200]!r} is not a pose", hint
-            )
+            what = f"{' '.join(words[:9])[:200]!r} is not a pose"
+            hint = "tx ty tz qx qy qz qw, perhaps the time before them"
+            raise InputError(f"poses {path}, line {number}: {what}", hint)
     table = np.array([words for _, words in given], float)
     q = table[:, -4:] / np.linalg.norm(table[:, -4:], axis=1, keepdims=True)
     turned = np.swapaxes(rotation_from_quaternion(np.roll(q, 1, 1)), 1, 2)

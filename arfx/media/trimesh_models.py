@@ -1,4 +1,4 @@
-"""PLY, STL, OFF and DAE through trimesh: its meshes as FileMesh, its materials in arfx's
+"""PLY, STL, OFF and DAE through trimesh: its meshes and materials in arfx's
 terms."""
 
 from __future__ import annotations
@@ -7,14 +7,21 @@ import io
 import logging
 import re
 from collections.abc import Iterator
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 
-from arfx.core.model import OPAQUE, Material, Texture
+from arfx.core.model import Material, Texture
+from arfx.core.numerics import same_rows
 from arfx.media.model_files import NO_TRIANGLES, ModelFile
-from arfx.media.model_materials import checked, linear_colours, plain_material
-from arfx.media.model_parts import FileMesh, Placed
+from arfx.media.model_parts import (
+    Placed,
+    Rows,
+    checked,
+    linear_colours,
+    plain_material,
+)
 from arfx.media.obj_files import decoded
 
 _FACES_OF = {
@@ -39,28 +46,25 @@ def trimesh_meshes(file: ModelFile) -> Iterator[Placed]:
         resolver=file,  # type: ignore[arg-type]
         process=False,
     )
-    materials: dict[int, Material] = {}  # the scene keeps what is known by its id
+    material_of = cache(partial(_of_collada, file))
     for node in scene.graph.nodes_geometry:
         model_from_mesh, name = scene.graph[node]
         mesh: Any = scene.geometry[name]
         if not hasattr(mesh, "faces"):
             file.notices.append(NO_TRIANGLES)
             continue
-        found = _mesh(mesh)
+        faces, rows = _mesh(mesh)
         given = getattr(mesh.visual, "material", None)
         if texture is not None:
             white = (1.0, 1.0, 1.0, 1.0)
             material = Material(
-                "default", white, texture, roughness=1.0, double_sided=True
+                base_colour=white, base_texture=texture, roughness=1.0, double_sided=True
             )
-        elif type(given).__name__ != "PBRMaterial":  # else trimesh's own grey
-            coloured = "colours" in found.rows or found.face_colours is not None
-            material = plain_material(coloured, double_sided=True)
-        else:
-            if id(given) not in materials:
-                materials[id(given)] = _of_collada(file, given)
-            material = materials[id(given)]
-        yield found, np.asarray(model_from_mesh, float), material
+        elif type(given).__name__ == "PBRMaterial":
+            material = material_of(given)
+        else:  # trimesh's own grey
+            material = plain_material("colours" in rows, double_sided=True)
+        yield faces, rows, np.asarray(model_from_mesh, float), material
 
 
 def _ply(file: ModelFile) -> tuple[bytes, Texture | None]:
@@ -69,47 +73,34 @@ def _ply(file: ModelFile) -> tuple[bytes, Texture | None]:
     start, end, body = file.data.partition(b"end_header")
     head = decoded(start)
     named = re.findall(r"(?i)\ncomment\s+TextureFile\s+(.*)", head)
+    head = re.sub(r"(?i)\ncomment\s.*", "", head)
     picture = file.picture(named[0]) if named else None
-    told = int(bool(named) and picture is None)
     texture = None
     if picture is not None and _PLY_UV.search(head):
-        texture, told = Texture(picture), 1
+        texture = Texture(picture)
         if re.search(r"\nproperty\s.*\sred\s", head):
             what = "its colours by vertex are left out: its texture is shown"
             file.notices.append(what)
     else:
         head = _PLY_UV.sub(r"\1left_out_\2", head)
-    if len(named) > told:
-        what = f"{len(named) - told} of its textures left out: one, with coordinates, is shown"
+    lost = len(named[1:] if texture or picture is None else named)
+    if lost:
+        what = f"{lost} of its textures left out: one, with coordinates, is shown"
         file.notices.append(what)
-    head = re.sub(r"(?i)\ncomment\s.*", "", head)
     return head.encode() + end + body, texture
 
 
 def _of_collada(file: ModelFile, given: Any) -> Material:
-    factor = 255 if given.baseColorFactor is None else given.baseColorFactor
-    red, green, blue, alpha = (float(c) for c in np.resize(factor, 4) / 255.0)
-    glow = [0.0] * 3 if given.emissiveFactor is None else given.emissiveFactor
-    metallic, roughness = given.metallicFactor, given.roughnessFactor
-    # laid by the first texture coordinates as they are
-    base, shining = (
-        None if (picture := file.texels(image)) is None else Texture(picture)
-        for image in (
-            given.baseColorTexture,
-            given.emissiveTexture if any(glow) else None,
-        )
-    )
+    """What trimesh reads of it; a texture is laid by the first coordinates as they are."""
+    red, green, blue, alpha = (np.resize(given.baseColorFactor, 4) / 255.0).tolist()
+    glow_red, glow_green, glow_blue = map(float, given.emissiveFactor)
+    picture = file.texels(given.baseColorTexture)
     return checked(
         Material(
-            name=str(given.name or "default"),
             base_colour=(red, green, blue, alpha),
-            base_texture=base,
-            metallic=1.0 if metallic is None else float(metallic),
-            roughness=1.0 if roughness is None else float(roughness),
-            emissive=(float(glow[0]), float(glow[1]), float(glow[2])),
-            emissive_texture=shining,
-            alpha_mode=str(given.alphaMode or OPAQUE),
-            double_sided=bool(given.doubleSided),
+            base_texture=None if picture is None else Texture(picture),
+            roughness=float(given.roughnessFactor),
+            emissive=(glow_red, glow_green, glow_blue),
         )
     )
 
@@ -123,17 +114,21 @@ def _stated_faces(data: bytes, kind: str) -> int:
     return int(found[1][:18]) if found else 0
 
 
-def _mesh(mesh: Any) -> FileMesh:
-    rows = {"vertices": np.asarray(mesh.vertices, float)}
+def _mesh(mesh: Any) -> tuple[np.ndarray, Rows]:
+    rows, faces = {"vertices": np.asarray(mesh.vertices, float)}, np.asarray(mesh.faces)
     # trimesh would make normals up on access; only the file's own are wanted
     if "vertex_normals" in mesh._cache:
         rows["normals"] = np.array(mesh.vertex_normals, float)
     visual = mesh.visual
-    uv = getattr(visual, "uv", None)
-    if uv is not None:
+    if getattr(visual, "uv", None) is not None:
         # trimesh counts v from the bottom
-        rows["uv"] = np.array(uv, float)[:, :2] * (1, -1) + (0, 1)
+        rows["uv"] = np.array(visual.uv, float)[:, :2] * (1, -1) + (0, 1)
     if visual.kind == "vertex":
         rows["colours"] = linear_colours(visual.vertex_colors)
-    by_face = linear_colours(visual.face_colors) if visual.kind == "face" else None
-    return FileMesh(np.asarray(mesh.faces), rows, by_face)
+    if visual.kind == "face":
+        corners = faces.ravel()
+        colours = np.repeat(linear_colours(visual.face_colors), 3, 0)
+        first, number = same_rows(np.column_stack([corners, colours]))
+        rows = {name: values[corners[first]] for name, values in rows.items()}
+        rows["colours"], faces = colours[first], number.reshape(-1, 3)
+    return faces, rows

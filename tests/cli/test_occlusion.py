@@ -104,8 +104,8 @@ def test_depth_in_one_file_decides_what_hides_what(
 
     # the same maps as pages of a TIFF: the same picture, bit for bit
     maps = open_depth(made / "depth.mkv")
-    assert maps.frames is not None
-    pages = [maps.frames.stored(k) for k in range(maps.count)]
+    assert maps.read is not None
+    pages = [maps.read(k) for k in range(maps.count)]
     assert cv2.imwritemulti(str(tmp_path / "depth.tiff"), pages)
     again = arfx(
         *job,

@@ -17,7 +17,7 @@ from PIL import Image, ImageOps
 from arfx.errors import InputError
 from arfx.media.clip import probe
 from arfx.media.codecs import CONTAINERS, check_size
-from arfx.media.depth_maps import open_frames
+from arfx.media.depth_maps import open_depth
 from arfx.media.frames import ClipReader
 from arfx.media.join import join_chunks
 from arfx.media.output import plan_output
@@ -81,7 +81,7 @@ def test_a_list_of_other_files_is_refused_whatever_its_name(
                 with pytest.raises(
                     InputError, match="cannot be read as a video: it is text"
                 ):
-                    open_frames(tmp_path / name)
+                    open_depth(tmp_path / name)
 
 
 def test_formats_that_open_other_files_are_not_listed() -> None:

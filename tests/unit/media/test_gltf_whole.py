@@ -299,7 +299,8 @@ def test_shine_textures_are_converted_by_texel(tmp_path):
     assert got.metallic_roughness_texture.picture[..., 1:3].tolist() == [
         [[0, 0], [204, 255]]
     ]
-    assert got.base_texture.picture.tolist() == [[[255] * 4] * 2]
+    # trimesh cuts off below a step
+    assert got.base_texture.picture == pytest.approx(np.full((1, 2, 4), 255), abs=1)
     assert (got.metallic, got.roughness) == (1, 1)
 
 

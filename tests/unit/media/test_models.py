@@ -14,7 +14,7 @@ from PIL import Image
 from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, MASK, OPAQUE, Material, Part
 from arfx.errors import InputError
-from arfx.media.model_parts import FileMesh, part_of
+from arfx.media.model_parts import part_of
 from arfx.media.models import load_model
 
 
@@ -156,8 +156,7 @@ def test_smoothing_keeps_apart_what_the_file_keeps_apart() -> None:
     f = np.array([[0, 1, 2], [3, 4, 5]])
 
     def part(**rows: np.ndarray) -> Part:
-        mesh = FileMesh(f, {"vertices": v, **rows})
-        out = part_of(mesh, np.eye(4), Material())
+        out = part_of(f, {"vertices": v, **rows}, np.eye(4), Material())
         assert out is not None and (out.vertices[out.faces] == v[f]).all()
         np.testing.assert_allclose(out.normals, [[0, 0, 1]] * len(out.vertices))
         return out

@@ -8,7 +8,7 @@ from PIL import Image
 
 from arfx.core.model import CLAMP, MIRROR, REPEAT, TEXTURE_SLOTS, Material, Texture
 from arfx.media.model_normals import corner_tangents
-from arfx.media.model_parts import FileMesh, part_of
+from arfx.media.model_parts import part_of
 from arfx.media.models import load_model
 from tests.unit.media.test_gltf_whole import CORNERS, SQUARE, Writer
 
@@ -185,7 +185,7 @@ def test_vertices_are_split_where_tangents_differ_alone():
     rows = {"vertices": FAN, "normals": FAN_NORMALS, "uv": uv}
 
     def part(material):
-        return part_of(FileMesh(FAN_FACES, rows), np.eye(4), material)
+        return part_of(FAN_FACES, rows, np.eye(4), material)
 
     bumpy = part(Material(normal_texture=Texture(np.zeros((1, 1, 4), np.uint8))))
     assert len(bumpy.vertices) == 8  # the middle, and both ends of the fold
