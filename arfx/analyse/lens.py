@@ -21,7 +21,7 @@ import numpy as np
 
 from arfx.analyse.job import Analysis, AnalysisFrame
 from arfx.analyse.markers.corners import LIGHT, cell_px, linear_table
-from arfx.analyse.markers.edges import FRACTIONS, Light, profiles
+from arfx.analyse.markers.edges import FRACTIONS, profiles
 from arfx.analyse.markers.search import ANY, Sighting
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.lens import LensFit
@@ -65,15 +65,10 @@ def side_blurs(
         _HALF_CELLS * cell_px(corners_px[None], np.array([cells]))[0], _MOST_HALF_PX
     )
     steps = 2 * int(half.max() / _STEP_PX) + 1
-    light = Light(luma, table, corners_px, 2 * half.max())
-    corners = corners_px[None] @ [1, 1j]
-    fall, place = profiles([light], corners, np.zeros((1, 4, 1)), half[None], steps)
-    return np.array(
-        [
-            _deviation(fall[0, side, INNER], place[0, side, INNER], half[side])
-            for side in range(4)
-        ]
-    )
+    corners, straight = corners_px[None] @ [1, 1j], np.zeros((1, 4, 1))
+    fall, place = profiles(luma, table, corners, straight, half[None], steps)
+    inner = fall[0, :, INNER], place[0, :, INNER], half
+    return np.array([*map(_deviation, *inner)])
 
 
 def _deviation(slope: np.ndarray, place: np.ndarray, half: float) -> float:

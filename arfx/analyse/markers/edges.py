@@ -74,14 +74,12 @@ def find_edges(
     luma : (h, w) uint8;  table : (256,) float32 to light of 255;  start : (n, 4, 2) px
     bend : (n, 4, SAMPLES, 2) px off the chord;  half : (n, 4) px, as of which the window is
     reaches : (n, 4) px to either side of an edge, each time that it is sampled"""
-    margins = 3 * np.max(reaches, axis=(0, 2))
-    lights = [Light(luma, table, *of) for of in zip(start, margins, strict=True)]
     corners, off_chord = (a[..., 0] + 1j * a[..., 1] for a in (start, bend))
     least = np.clip(WINDOW_FRACTION * half, *WINDOW_PX)
     weight = there = np.ones((*half.shape, SAMPLES))
     with np.errstate(all="ignore"):  # what is not finite is no edge
         for first, far in enumerate(reaches):
-            fall, place = profiles(lights, corners, off_chord, far)
+            fall, place = profiles(luma, table, corners, off_chord, far)
             inverted = fall.sum((1, 2, 3)) < 0
             fall[inverted] *= -1
             mean = np.einsum("ijst,ijs->ijt", fall, there)
@@ -112,29 +110,21 @@ def find_edges(
     return Edges(quad, clear.min(1), spread, blur, skew, inverted)
 
 
-class Light:
-    """Linear light around a quad. origin : px of its first pixel"""
-
-    def __init__(
-        self, luma: np.ndarray, table: np.ndarray, quad: np.ndarray, margin: float
-    ) -> None:
-        h, w = luma.shape
-        part = Rect.around(quad, float(margin)).clip(Rect.of(w, h))
-        part = Rect.of(w, h) if part.empty else part
-        self.values = cv2.LUT(luma[part.slices], table)
-        self.origin = np.complex64(part.x0 + 1j * part.y0)
-
-    def sampled(self, places: np.ndarray) -> np.ndarray:
-        """(m, k) at places (m, k) complex64 px; the border is replicated."""
-        xy = places - self.origin
-        border = cv2.BORDER_REPLICATE
-        return cv2.remap(
-            self.values, xy.real, xy.imag, cv2.INTER_LINEAR, borderMode=border
-        )
+def sampled(luma: np.ndarray, table: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """(m, k) linear light at places (m, k) complex64 px along lines; the border is
+    replicated."""
+    h, w = luma.shape
+    ends = places[:, [0, -1]]
+    part = Rect.around(np.stack([ends.real, ends.imag], -1), 1.0).clip(Rect.of(w, h))
+    part = Rect.of(w, h) if part.empty else part
+    xy = places - np.complex64(part.x0 + 1j * part.y0)
+    light, border = cv2.LUT(luma[part.slices], table), cv2.BORDER_REPLICATE
+    return cv2.remap(light, xy.real, xy.imag, cv2.INTER_LINEAR, borderMode=border)
 
 
 def profiles(
-    lights: Sequence[Light],
+    luma: np.ndarray,
+    table: np.ndarray,
     corners: np.ndarray,
     off_chord: np.ndarray,
     far: np.ndarray,
@@ -152,9 +142,8 @@ def profiles(
     exact = np.round(wanted * _REMAP_STEPS) / _REMAP_STEPS
     along = along + ((exact - wanted) * inwards.conj()).real
     exact[~np.isfinite(exact)] = 0  # of a quad of which nothing will come
-    exact = exact.reshape(len(lights), 4 * SAMPLES, steps)
-    seen = [one.sampled(at) for one, at in zip(lights, exact, strict=True)]
-    light = np.reshape(seen, along.shape)
+    quads = exact.reshape(len(corners), 4 * SAMPLES, steps)
+    light = np.reshape([sampled(luma, table, at) for at in quads], along.shape)
     return light[..., :-1] - light[..., 1:], (along[..., :-1] + along[..., 1:]) / 2
 
 

@@ -6,10 +6,9 @@ of few bits turn up everywhere."""
 
 from __future__ import annotations
 
-from math import comb
-
 import cv2
 import numpy as np
+from scipy.special import bdtr
 
 from arfx.analyse.markers.detect import Candidate
 from arfx.core.marker import FAMILIES, smallest_family
@@ -64,4 +63,4 @@ def _chance(family: str, number: int, wrong: int) -> float:
     """
     bits = (cells_per_side(family) - 2) ** 2
     codes = FAMILIES[smallest_family(family, number)]
-    return 4 * codes * sum(comb(bits, k) for k in range(wrong + 1)) / 2.0**bits
+    return 4 * codes * float(bdtr(wrong, bits, 0.5))

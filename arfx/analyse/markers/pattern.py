@@ -14,17 +14,16 @@ Source: docs/methods/pose.md#patterns. Cost (two threads): `align` 5 to 12 ms, `
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
+from arfx.analyse.markers.detect import sides
 from arfx.analyse.markers.texture import even_contrast, follow
 from arfx.core.camera import FISHEYE, Camera
 from arfx.core.colour import SRGB
 from arfx.core.numerics import divide
-from arfx.core.rect import Rect
 from arfx.errors import ConfigError, InputError
 
 BASE_PX, LEVEL = (
@@ -61,8 +60,7 @@ _ALIKE = 1.5  # corners whose windows overlap err alike: factor on the deviation
 _LEAST_PX = 1e-4  # of residuals: no corner is followed better
 
 
-@dataclass(frozen=True, eq=False)
-class Level:
+class Level(NamedTuple):
     """The picture at one size.
 
     even : (h, w) uint8 of even local contrast;  points : (k, 2) float32 px, its corners
@@ -77,8 +75,7 @@ class Level:
         return np.array([[1 / w, 0, 0.5 / w], [0, 1 / h, 0.5 / h], [0, 0, 1]])
 
 
-@dataclass(frozen=True, eq=False)
-class Alignment:
+class Alignment(NamedTuple):
     """ideal_from_unit : (3, 3);  corners_px : (4, 2) of the print in the picture, order of
     MarkerSpec.corners_m
     sigma_px : standard deviation of their coordinates;  share : of the print's corners that agree
@@ -105,15 +102,12 @@ class PatternPicture:
                 f"pattern {name} is {w}x{h}",
                 f"a picture of at least {LEAST_PICTURE_PX} pixels each way",
             )
-        self.name = name
+        self.name, self.levels = name, list[Level]()
         side = float(min(BASE_PX, max(h, w)))
-        images = list[np.ndarray]()
+        self._units, self._descriptors = _described(_resized(luma, side))
         while side >= LEAST_LEVEL_PX:
-            size = [max(round(length * side / max(h, w)), 8) for length in (w, h)]
-            images.append(cv2.resize(luma, size, interpolation=cv2.INTER_AREA))
+            self.levels.append(_level(_resized(luma, side)))
             side *= LEVEL
-        self.levels = [_level(image) for image in images]
-        self._units, self._descriptors = _described(images[0])
         if len(self._units) < LEAST_FEATURES:
             raise InputError(
                 f"pattern {name} is too plain: {len(self._units)} features, at least"
@@ -125,8 +119,7 @@ class PatternPicture:
         """ideal_from_unit by matching features, right to some pixels; None where too few agree."""
         if len(features.descriptors) < LEAST_MATCHES:
             return None
-        matches = cv2.BFMatcher(cv2.NORM_L2)
-        pairs = matches.knnMatch(self._descriptors, features.descriptors, 2)
+        pairs = cv2.BFMatcher().knnMatch(self._descriptors, features.descriptors, 2)
         good = [m for m, second in pairs if m.distance < RATIO * second.distance]
         ideal = camera.normalised(features.pixels[[m.trainIdx for m in good]])
         known = np.isfinite(ideal).all(1)
@@ -141,7 +134,7 @@ class PatternPicture:
         if h is None or int(inside.sum()) < LEAST_MATCHES:
             return None
         pixel, base = 1 / camera.fx, float(BASE_PX)
-        return np.diag([pixel, pixel, 1.0]) @ h @ np.diag([base, base, 1.0])
+        return h * np.outer([pixel, pixel, 1], [base, base, 1])
 
     def align(
         self, luma: np.ndarray, camera: Camera, ideal_from_unit: np.ndarray
@@ -153,7 +146,7 @@ class PatternPicture:
         quad = _pixels(camera, ideal_from_unit, _CORNERS)
         if not plausible(quad):
             return None
-        side = 0.9 * float(np.linalg.norm(quad - np.roll(quad, -1, 0), axis=1).max())
+        side = 0.9 * sides(quad).max()
         finest = sum(max(level.even.shape) >= side for level in self.levels)
         levels = self.levels[max(finest - 1, 0) :: _BLURRED]
         for level, factor in zip(levels, (1.0, _SHARED), strict=False):
@@ -161,7 +154,7 @@ class PatternPicture:
             exact = near and _match(level, luma, camera, near.ideal_from_unit, 0)
             there = exact and _aligned(exact, camera)
             if there and factor * there.sigma_px <= MOST_SIGMA_PX:
-                return replace(there, sigma_px=factor * there.sigma_px)
+                return there._replace(sigma_px=factor * there.sigma_px)
         return None
 
 
@@ -174,10 +167,7 @@ def check_turned(name: str, luma: np.ndarray) -> None:
     mirror lines are a turn by 180 degrees."""
     picture = PatternPicture(name, luma)
     h, w = picture.levels[0].even.shape
-    luma, camera = (
-        cv2.resize(luma, (w, h), interpolation=cv2.INTER_AREA),
-        Camera.guess(w, h),
-    )
+    luma, camera = _resized(luma, max(w, h)), Camera.guess(w, h)
     ideal_from_unit = homography_of(camera.normalised(_CORNERS * [w, h] - 0.5))
     for degrees in _TURNS:
         m = cv2.getRotationMatrix2D(((w - 1) / 2, (h - 1) / 2), degrees, 1)
@@ -192,8 +182,7 @@ def check_turned(name: str, luma: np.ndarray) -> None:
             )
 
 
-@dataclass(frozen=True, eq=False)
-class Features:
+class Features(NamedTuple):
     """Of a frame. pixels : (n, 2) of the frame;  descriptors : (n, 128);  px : the searched
     image's pixel, in the frame's
     """
@@ -246,11 +235,9 @@ def plausible(quad: np.ndarray) -> bool:
     """
     if not np.isfinite(quad).all() or np.abs(quad).max() > 1e5:
         return False
-    side = np.roll(quad, -1, 0) - quad
-    after = np.roll(side, -1, 0)
-    cross = side[:, 0] * after[:, 1] - side[:, 1] * after[:, 0]
-    longest = float(np.linalg.norm(side, axis=1).max())
-    return bool(longest >= LEAST_SIDE_PX and cross.min() >= LEAST_SIDE_PX / 4 * longest)
+    side, longest = np.roll(quad, -1, 0) - quad, float(sides(quad).max())
+    turns = np.linalg.det(np.stack([side, np.roll(side, -1, 0)], 1))
+    return bool(longest >= LEAST_SIDE_PX and turns.min() >= LEAST_SIDE_PX / 4 * longest)
 
 
 def homography_of(quad: np.ndarray) -> np.ndarray:
@@ -268,6 +255,13 @@ def coded_luma(linear: np.ndarray, ink: float, paper: float) -> np.ndarray:
     return (light @ np.array([0.2126, 0.7152, 0.0722]) * 255 + 0.5).astype(np.uint8)
 
 
+def _resized(luma: np.ndarray, longest_px: float) -> np.ndarray:
+    """The picture with a longer side of so many pixels."""
+    scale = longest_px / max(luma.shape)
+    size = [max(round(length * scale), 8) for length in luma.shape[::-1]]
+    return cv2.resize(luma, size, interpolation=cv2.INTER_AREA)
+
+
 def _level(image: np.ndarray) -> Level:
     even = even_contrast(image)
     inside = np.zeros_like(even)
@@ -275,9 +269,7 @@ def _level(image: np.ndarray) -> Level:
     inside[margin:-margin, margin:-margin] = 255
     apart = max(max(even.shape) / 28, 2.0)
     points = cv2.goodFeaturesToTrack(even, _POINTS, 0.02, apart, mask=inside, blockSize=5)
-    return Level(
-        even, np.zeros((0, 2), np.float32) if points is None else points.reshape(-1, 2)
-    )
+    return Level(even, np.reshape(() if points is None else points, (-1, 2)))
 
 
 def _mapped(h: np.ndarray, xy: np.ndarray) -> np.ndarray:
@@ -289,32 +281,6 @@ def _mapped(h: np.ndarray, xy: np.ndarray) -> np.ndarray:
 def _pixels(camera: Camera, ideal_from_unit: np.ndarray, unit: np.ndarray) -> np.ndarray:
     ideal = _mapped(ideal_from_unit, unit)
     return camera.project(np.concatenate([ideal, np.ones_like(ideal[..., :1])], -1))
-
-
-def _cut_out(
-    luma: np.ndarray, camera: Camera, ideal_from_level: np.ndarray, size: tuple[int, int]
-) -> np.ndarray:
-    """The frame as the picture is seen: (h, w) uint8 of size (w, h)."""
-    w, h = size
-    corners = _pixels(camera, ideal_from_level, _CORNERS * [w, h] - 0.5)
-    if not plausible(corners):
-        return np.zeros((h, w), np.uint8)
-    side = float(np.linalg.norm(corners - np.roll(corners, -1, 0), axis=1).max())
-    k = max(int(side / max(size)), 1)  # the frame may be finer than the finest level
-    part = Rect.around(corners, 2.0 * k).clip(Rect.of(luma.shape[1], luma.shape[0]))
-    columns, rows = part.width // k, part.height // k
-    if min(columns, rows) < 4:
-        return np.zeros((h, w), np.uint8)
-    luma = luma[part.y0 : part.y0 + rows * k, part.x0 : part.x0 + columns * k]
-    luma = cv2.resize(luma, (columns, rows), interpolation=cv2.INTER_AREA)
-    own = camera.matrix.copy()
-    own[:2, :2] /= k
-    own[:2, 2] = (own[:2, 2] - [part.x0, part.y0] + 0.5) / k - 0.5
-    fisheye = camera.model == FISHEYE
-    maps = cv2.fisheye.initUndistortRectifyMap if fisheye else cv2.initUndistortRectifyMap
-    level_from_ideal = np.linalg.inv(ideal_from_level)
-    x, y = maps(own, camera.distortion, level_from_ideal, np.eye(3), size, cv2.CV_32FC1)
-    return cv2.remap(luma, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
 class _Match(NamedTuple):
@@ -343,14 +309,27 @@ def _match(
 ) -> _Match | None:
     """None where too few corners agree on a homography. reach : further halvings of the images"""
     cut, (h, w) = ideal_from_unit @ level.unit_from_level, level.even.shape
-    seen = even_contrast(_cut_out(luma, camera, cut, (w, h)))
-    at = _pixels(camera, cut, level.points.astype(float))
-    there = (at > 2).all(1) & (at < [luma.shape[1] - 3, luma.shape[0] - 3]).all(1)
+    quad, at = (
+        _pixels(camera, ideal_from_unit, _CORNERS),
+        _pixels(camera, cut, level.points),
+    )
+    there = (at > 2).all(1) & (at < np.subtract(luma.shape[::-1], 3)).all(1)
     points = level.points[there]
     needed = max(LEAST_POINTS, SHARE * len(points))
-    if len(points) < needed:
+    if not plausible(quad) or len(points) < needed:
         return None
-    moved, away = follow(level.even, seen, points, reach)
+    # the frame as the picture is seen; it may be finer than the finest level
+    fine = max(int(sides(quad).max() / max(w, h)), 1)
+    rows, columns = (length // fine for length in luma.shape)
+    part = luma[: rows * fine, : columns * fine]
+    part = cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA)
+    fisheye = camera.model == FISHEYE
+    maps = cv2.fisheye.initUndistortRectifyMap if fisheye else cv2.initUndistortRectifyMap
+    own, lens, view = camera.matrix, camera.distortion, np.linalg.inv(cut)
+    places = maps(own, lens, view, np.eye(3), (w, h), cv2.CV_32FC1)
+    x, y = ((px + 0.5) / fine - 0.5 for px in places)
+    seen = cv2.remap(part, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    moved, away = follow(level.even, even_contrast(seen), points, reach)
     good = away < _RETURN_PX
     if good.sum() < needed:
         return None
@@ -358,11 +337,8 @@ def _match(
     found, agree = cv2.findHomography(a, b, cv2.USAC_MAGSAC, _AGREE_PX, maxIters=2000)
     if found is None or agree.sum() < needed:
         return None
-    own, units = (
-        found @ np.linalg.inv(level.unit_from_level),
-        _mapped(level.unit_from_level, a),
-    )
-    share = float(agree.sum() / len(points))
+    own = found @ np.linalg.inv(level.unit_from_level)
+    units, share = _mapped(level.unit_from_level, a), float(agree.sum() / len(points))
     return _Match(cut, own, cut @ own, units, b, agree.ravel() > 0, share)
 
 

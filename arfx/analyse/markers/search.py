@@ -16,7 +16,6 @@ from arfx.analyse.markers.corners import (
     CODE,
     LIGHT,
     chosen_transfer,
-    linear_table,
     refine_found,
     symmetric_in_light,
 )
@@ -113,7 +112,7 @@ class MarkerSearch:
                 )
         camera = self._camera.scaled_to(width, height)
         found, pictured = self._coded.search(frame), self._pictured.search(frame)
-        every = (*found.sightings, *found.duplicates)
+        every = found.sightings + found.duplicates
         shown = _refined(index, luma, every, len(found.sightings), camera)
         shown += [Sighting(index, ANY, False, np.nan, s) for s in pictured.sightings]
         self.prints += shown
@@ -158,18 +157,12 @@ def _refined(
     index: int, luma: np.ndarray, found: Sequence[Candidate], first: int, camera: Camera
 ) -> list[Sighting]:
     """first : so many of them are no duplicates"""
-    prints, skews = refine_found(luma, found, linear_table(LIGHT), camera)
-    doubtful = [k for k, skew in enumerate(skews) if not symmetric_in_light(skew)]
-    again = [found[k] for k in doubtful]
-    in_code = zip(*refine_found(luma, again, linear_table(CODE), camera), strict=True)
-    out = []
-    for k, (one, skew) in enumerate(zip(prints, skews, strict=True)):
-        transfer = LIGHT if k in doubtful else ANY
-        out.append(Sighting(index, transfer, k >= first, float(skew), one))
-        if k in doubtful:
-            other, skew_in_code = next(in_code)
-            out.append(Sighting(index, CODE, k >= first, float(skew_in_code), other))
-    return out
+    in_light = refine_found(luma, found, LIGHT, camera)
+    doubtful = [k for k, (_, skew) in enumerate(in_light) if not symmetric_in_light(skew)]
+    in_code = refine_found(luma, [found[k] for k in doubtful], CODE, camera)
+    rows = [(LIGHT if k in doubtful else ANY, k, *p) for k, p in enumerate(in_light)]
+    rows += [(CODE, k, *p) for k, p in zip(doubtful, in_code, strict=True)]
+    return [Sighting(index, kind, k >= first, skew, p) for kind, k, p, skew in rows]
 
 
 def frame_size(frames: Sequence[FrameRow]) -> tuple[int, int]:
