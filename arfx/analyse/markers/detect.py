@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -36,8 +37,7 @@ SCANNED_FAMILIES = (
 _REDUCED_WINDOW_PX = 9
 
 
-@dataclass(frozen=True)
-class Candidate:
+class Candidate(NamedTuple):
     """A decoded marker. quad_px : (4, 2) whole-frame pixels, about 1 px accurate, order of
     MarkerSpec.corners_m.
     """
@@ -55,8 +55,7 @@ class Candidate:
         return float(sides(self.quad_px).mean())
 
 
-@dataclass(frozen=True)
-class Detection:
+class Detection(NamedTuple):
     """One marker print in one frame, refined.
 
     corners_px : (4, 2);  sigma_px : predicted standard deviation of a coordinate, without

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from arfx.analyse.markers.detect import sides
+from arfx.analyse.markers.detect import Detection, sides
 from arfx.analyse.markers.texture import even_contrast, follow
 from arfx.core.camera import FISHEYE, Camera
 from arfx.core.colour import SRGB
@@ -75,21 +75,6 @@ class Level(NamedTuple):
         return np.array([[1 / w, 0, 0.5 / w], [0, 1 / h, 0.5 / h], [0, 0, 1]])
 
 
-class Alignment(NamedTuple):
-    """ideal_from_unit : (3, 3);  corners_px : (4, 2) of the print in the picture, order of
-    MarkerSpec.corners_m
-    sigma_px : standard deviation of their coordinates;  share : of the print's corners that agree
-    misfit_px : root mean square distance of what was followed in the texture from where a
-    flat print of this picture has it
-    """
-
-    ideal_from_unit: np.ndarray
-    corners_px: np.ndarray
-    sigma_px: float
-    share: float
-    misfit_px: float
-
-
 class PatternPicture:
     """The picture of one print. luma : (h, w) uint8
 
@@ -138,8 +123,9 @@ class PatternPicture:
 
     def align(
         self, luma: np.ndarray, camera: Camera, ideal_from_unit: np.ndarray
-    ) -> Alignment | None:
-        """The print where it is, from where it is about; None where it is not there.
+    ) -> tuple[Detection, float] | None:
+        """The print where it is, from where it is about, and the share of its corners in view
+        that agree; None where it is not there.
 
         By the coarsest level that is hardly coarser than the print in the frame; where the
         print is blurred, by one of half its size."""
@@ -150,11 +136,10 @@ class PatternPicture:
         finest = sum(max(level.even.shape) >= side for level in self.levels)
         levels = self.levels[max(finest - 1, 0) :: _BLURRED]
         for level, factor in zip(levels, (1.0, _SHARED), strict=False):
-            near = _match(level, luma, camera, ideal_from_unit, _REACH)
-            exact = near and _match(level, luma, camera, near.ideal_from_unit, 0)
-            there = exact and _aligned(exact, camera)
-            if there and factor * there.sigma_px <= MOST_SIGMA_PX:
-                return there._replace(sigma_px=factor * there.sigma_px)
+            match = _match(level, luma, camera, ideal_from_unit)
+            there = match and _aligned(self.name, match, camera)
+            if match and there and factor * there.sigma_px <= MOST_SIGMA_PX:
+                return there._replace(sigma_px=factor * there.sigma_px), match.share
         return None
 
 
@@ -173,7 +158,7 @@ def check_turned(name: str, luma: np.ndarray) -> None:
         m = cv2.getRotationMatrix2D(((w - 1) / 2, (h - 1) / 2), degrees, 1)
         turned = cv2.warpAffine(luma, m, (w, h), borderMode=cv2.BORDER_REPLICATE)
         there = picture.align(turned, camera, ideal_from_unit)
-        if there is not None and there.share >= _SAME:
+        if there and there[1] >= _SAME:
             raise ConfigError(
                 f"pattern {name} looks the same when it is turned by {degrees} degrees: its"
                 " pose would be a guess",
@@ -195,38 +180,34 @@ class Features(NamedTuple):
 def frame_features(luma: np.ndarray, most_px: float) -> Features:
     """SIFT features of a frame, reduced to about `most_px` pixels where it has more."""
     h, w = luma.shape
-    scale = max(float(np.sqrt(h * w / most_px)), 1.0)
-    size = max(round(w / scale), 1), max(round(h / scale), 1)
-    small = luma if scale == 1 else cv2.resize(luma, size, interpolation=cv2.INTER_AREA)
-    at, descriptors = _found(_sift(FRAME_FEATURES), small)
-    return Features((at + 0.5) * [w / size[0], h / size[1]] - 0.5, descriptors, scale)
-
-
-def _sift(most: int) -> cv2.Feature2D:
-    return cv2.SIFT.create(most, contrastThreshold=_FAINT)
+    px = max(float(np.sqrt(h * w / most_px)), 1.0)
+    size = max(round(w / px), 1), max(round(h / px), 1)
+    finder = cv2.SIFT.create(FRAME_FEATURES, contrastThreshold=_FAINT)
+    units, descriptors = _found(
+        finder, cv2.resize(luma, size, interpolation=cv2.INTER_AREA)
+    )
+    return Features(units * [w, h] - 0.5, descriptors, px)
 
 
 def _found(finder: cv2.Feature2D, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(places (n, 2) px, descriptors (n, 128)) of an image's features."""
+    """Of an image's features their places (n, 2), in its size, and descriptors (n, 128)."""
     keypoints, descriptors = finder.detectAndCompute(image, None)
     if descriptors is None:
         return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
-    return np.array([k.pt for k in keypoints]), descriptors
+    return (np.array([k.pt for k in keypoints]) + 0.5) / image.shape[::-1], descriptors
 
 
 def _described(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Features of the picture as it is seen from near and far, straight and foreshortened to
-    one half (Morel and Yu 2009): (units (n, 2), descriptors (n, 128))."""
-    finder = cv2.AffineFeature.create(_sift(FEATURES), 1, 0, 2.0, 90.0)
-    units, descriptors = [], []
+    one half (Morel and Yu 2009), as of `_found`."""
+    plain = cv2.SIFT.create(FEATURES, contrastThreshold=_FAINT)
+    finder, found = cv2.AffineFeature.create(plain, 1, 0, 2.0, 90.0), []
     for scale in _SCALES:
         small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        at, those = _found(finder, small)
-        unit = (at + 0.5) / small.shape[::-1]
-        inside = ((unit > 0) & (unit < 1)).all(1)
-        units.append(unit[inside])
-        descriptors.append(those[inside])
-    return np.concatenate(units), np.concatenate(descriptors)
+        found.append(_found(finder, small))
+    units, descriptors = map(np.concatenate, zip(*found, strict=True))
+    inside = ((units > 0) & (units < 1)).all(1)
+    return units[inside], descriptors[inside]
 
 
 def plausible(quad: np.ndarray) -> bool:
@@ -286,14 +267,13 @@ def _pixels(camera: Camera, ideal_from_unit: np.ndarray, unit: np.ndarray) -> np
 class _Match(NamedTuple):
     """Corners of the picture that were followed into the frame and back.
 
-    ideal_from_level : where the frame was cut out;  level_from_unit : where the corners have
-    the print in the cut-out;  ideal_from_unit : both
-    units, moved : (n, 2) of the print, and px of the cut-out;  agree : (n,) on a homography
+    cut : ideal_from_level where the frame was cut out;  own : level_from_unit, where the
+    corners have the print in the cut-out
+    units, moved : (n, 2) of the print, and px of the cut-out;  agree : (n,) on `own`
     share : of the corners in view that agree"""
 
-    ideal_from_level: np.ndarray
-    level_from_unit: np.ndarray
-    ideal_from_unit: np.ndarray
+    cut: np.ndarray
+    own: np.ndarray
     units: np.ndarray
     moved: np.ndarray
     agree: np.ndarray
@@ -305,9 +285,10 @@ def _match(
     luma: np.ndarray,
     camera: Camera,
     ideal_from_unit: np.ndarray,
-    reach: int,
+    reach: int = _REACH,
 ) -> _Match | None:
-    """None where too few corners agree on a homography. reach : further halvings of the images"""
+    """None where too few corners agree on a homography. reach : further halvings of the images,
+    at first"""
     cut, (h, w) = ideal_from_unit @ level.unit_from_level, level.even.shape
     quad, at = (
         _pixels(camera, ideal_from_unit, _CORNERS),
@@ -338,47 +319,43 @@ def _match(
     if found is None or agree.sum() < needed:
         return None
     own = found @ np.linalg.inv(level.unit_from_level)
+    if reach:
+        return _match(level, luma, camera, cut @ own, 0)
     units, share = _mapped(level.unit_from_level, a), float(agree.sum() / len(points))
-    return _Match(cut, own, cut @ own, units, b, agree.ravel() > 0, share)
+    return _Match(cut, own, units, b, agree.ravel() > 0, share)
 
 
-def _aligned(match: _Match, camera: Camera) -> Alignment | None:
+def _aligned(name: str, match: _Match, camera: Camera) -> Detection | None:
     """By robust least squares; None for a quad that no print can show."""
     from scipy.optimize import approx_fprime, least_squares
 
     units, moved = match.units[match.agree], match.moved[match.agree]
 
+    def changed(own: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """The print moved a little in its own plane, by eight numbers."""
+        return own @ (np.eye(3) + np.append(change, 0.0).reshape(3, 3))
+
     def missed_by(change: np.ndarray) -> np.ndarray:
-        return (
-            _mapped(match.level_from_unit @ _nearly_one(change), units) - moved
-        ).ravel()
+        return (_mapped(changed(match.own, change), units) - moved).ravel()
 
     def corners_by(change: np.ndarray) -> np.ndarray:
-        about = match.ideal_from_unit @ _nearly_one(change)
-        return _pixels(camera, about, _CORNERS).ravel()
+        return _pixels(camera, match.cut @ changed(match.own, change), _CORNERS).ravel()
 
     first = missed_by(np.zeros(8))
     if not np.isfinite(first).all():
         return None
     worn = _WORN * _deviation(first)
     fit = least_squares(missed_by, np.zeros(8), loss="arctan", f_scale=worn, ftol=1e-5)
-    new, corners = match.ideal_from_unit @ _nearly_one(fit.x), corners_by(fit.x)
-    if not plausible(corners.reshape(4, 2)):
+    corners = corners_by(fit.x).reshape(4, 2)
+    if not plausible(corners):
         return None
     slope = approx_fprime(fit.x, corners_by, _STEP) @ np.linalg.pinv(fit.jac)
     sigma = _ALIKE * _deviation(fit.fun) * float(np.sqrt((slope**2).sum() / 8))
-    off = _pixels(camera, new, match.units)
-    off -= _pixels(camera, match.ideal_from_level, match.moved)
+    off = _pixels(camera, match.cut @ changed(match.own, fit.x), match.units)
+    off -= _pixels(camera, match.cut, match.moved)
     misfit = float(np.sqrt((off**2).sum(1).mean()))
-    return Alignment(
-        divide(new, new[2, 2]), corners.reshape(4, 2), sigma, match.share, misfit
-    )
+    return Detection(name, corners, sigma, np.nan, False, misfit_px=misfit)
 
 
 def _deviation(residuals: np.ndarray) -> float:
     return max(1.4826 * float(np.median(np.abs(residuals))), _LEAST_PX)
-
-
-def _nearly_one(change: np.ndarray) -> np.ndarray:
-    """(3, 3) homography of the unit square onto nearly itself, by eight numbers."""
-    return np.eye(3) + np.append(change, 0.0).reshape(3, 3)
