@@ -31,7 +31,7 @@ _NEXT, _BEFORE = [1, 2, 3, 0], [3, 0, 1, 2]  # of the corners, clockwise
 _MIDDLES = (np.arange(1, STEPS) - STEPS / 2) / (STEPS / 2 - 0.5)
 # A normal on which the edge is fainter than so much of the side's (its upper quartile)
 # meets something that covers the print.
-_THERE = 0.5
+THERE = 0.5
 _LINES = 2  # laid through the samples of one place
 _ROUNDS = 2  # of a robust line, each with the weights of the one before
 # Standard deviation of scatter over its mean size, under the weights of a robust line: 1.54
@@ -97,7 +97,7 @@ def find_edges(
                 inside = fall * np.exp(-0.5 * (away / window[..., None, None]) ** 2)
                 own = inside.sum(-1)
                 clear = np.sort(own, -1)[..., 3 * SAMPLES // 4]
-                there = own >= _THERE * clear[..., None]
+                there = own >= THERE * clear[..., None]
                 mass = (own * there).sum(-1) / there.sum(-1)
                 seen = np.einsum("...t,...t->...", inside, away)
                 seen *= (gain / mass)[..., None]
@@ -177,14 +177,14 @@ def _shape(mean: np.ndarray, far: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Standard deviation px and skew (n,) of the mean profiles (n, 4, STEPS - 1) over the
     sides; the narrowing by the window that it is seen through is taken out."""
     place, most = far[..., None] * _MIDDLES, far**2
-    second = _moments(np.maximum(mean, 0) * np.exp(-2 * _MIDDLES**2), place)[0]
+    second = moments(np.maximum(mean, 0) * np.exp(-2 * _MIDDLES**2), place)[0]
     variance = 1 / np.maximum(1 / second - 4 / most, 1 / most)
     blur = np.sqrt(np.sort(np.maximum(variance, 0.04), -1)[:, 1:3].mean(-1))
     near = np.exp(-0.5 * (place / (1.5 * blur[:, None, None])) ** 2)
-    return blur, _moments(mean * near, place)[1].mean(-1) / blur**3
+    return blur, moments(mean * near, place)[1].mean(-1) / blur**3
 
 
-def _moments(profile: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def moments(profile: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Means of the square and of the cube of `place` about its mean, under profiles along the
     last axis."""
     profile = profile / profile.sum(-1, keepdims=True)

@@ -52,15 +52,9 @@ def legible(luma: np.ndarray, seen: Candidate) -> tuple[bool, bool]:
         min((paper_like[depth == 0] > 0).mean(), (paper_like[depth == 1] < 0).mean())
         >= CLEAN
     )
-    chance = _chance(seen.family, seen.id, wrong)
+    # that bits by chance are one of the family's codes with so many wrong ones, in one of
+    # four turns
+    codes = FAMILIES[smallest_family(seen.family, seen.id)]
+    chance = 4 * codes * float(bdtr(wrong, code.size, 0.5))
     sure = bool(clean and bits.min() >= MARGIN) or chance <= SURE
     return sure or wrong == 0 or chance <= HOLDS, sure
-
-
-def _chance(family: str, number: int, wrong: int) -> float:
-    """That bits by chance are one of the family's codes with so many wrong ones, in one of
-    four turns.
-    """
-    bits = (cells_per_side(family) - 2) ** 2
-    codes = FAMILIES[smallest_family(family, number)]
-    return 4 * codes * float(bdtr(wrong, bits, 0.5))

@@ -104,7 +104,7 @@ class MarkerSearch:
         height, width = luma.shape
         if self.frames:
             last = self.frames[-1]
-            _require_size(index, (width, height), (last.width, last.height))
+            _require_size(index, (width, height), last[2:4])
             if index != last.frame + 1 or time_s <= last.time_s:
                 raise InputError(
                     f"frame {index} at {time_s:g} s comes after frame {last.frame} at"
@@ -173,9 +173,9 @@ def frame_size(frames: Sequence[FrameRow]) -> tuple[int, int]:
             "the clip holds no frame",
             "is it empty, or does --start lie behind its end?",
         )
-    size = frames[0].width, frames[0].height
+    size = frames[0][2:4]
     for row in frames:
-        _require_size(row.frame, (row.width, row.height), size)
+        _require_size(row.frame, row[2:4], size)
     return size
 
 
@@ -196,11 +196,11 @@ def records(
     for s in prints:
         if s.transfer in (transfer, ANY):
             shown.setdefault(s.frame, ([], []))[s.duplicate].append(s.print)
-    out = []
-    for f in frames:
-        seen, duplicates = map(tuple, shown.get(f.frame, ((), ())))
-        out.append(Record(f.frame, f.time_s, seen, duplicates, f.whole, f.thumbnail))
-    return out
+    pairs = [map(tuple, shown.get(f.frame, ((), ()))) for f in frames]
+    return [
+        Record(f.frame, f.time_s, *pair, f.whole, f.thumbnail)
+        for f, pair in zip(frames, pairs, strict=True)
+    ]
 
 
 def nothing_seen(
