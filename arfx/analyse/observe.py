@@ -38,21 +38,22 @@ class Observation:
     Raises ConfigError for no marker, the same one twice, or a map that lacks one."""
 
     def __init__(self, job: AnalysisJob, wanted: Collection[str] = ()) -> None:
-        on_plane = job.anchor == PLANE
-        self._search = None if on_plane else MarkerSearch(job)
+        markers, lit = job.anchor != PLANE, {"light", "environment"} & {*wanted}
+        self._search = MarkerSearch(job) if markers else None
         self._others: list[Any] = []
-        if on_plane and job.poses is None:
-            self._others.append(RestCheck())
-        if not on_plane and job.params.static == "auto":
-            self._others.append(BackgroundFlow(job.frames))
-        if not on_plane and {"light", "environment"} & {*wanted}:
-            self._others.append(LightReader(job))
-        if {"light", "environment"} & {*wanted}:
-            self._others.append(SnapshotTaker(job.frames))
+        add = self._others.append
+        if not markers and job.poses is None:
+            add(RestCheck())
+        if markers and job.params.static == "auto":
+            add(BackgroundFlow(job.frames))
+        if markers and lit:
+            add(LightReader(job))
+        if lit:
+            add(SnapshotTaker(job.frames))
         if "flow" in wanted:
-            self._others.append(BackgroundMotion())
-        if not on_plane and "lens" in wanted:
-            self._others.append(SideReader())
+            add(BackgroundMotion())
+        if markers and "lens" in wanted:
+            add(SideReader())
 
     def step(self, frame: AnalysisFrame) -> None:
         """Raises InputError for another size or order."""

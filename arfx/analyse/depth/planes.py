@@ -36,7 +36,7 @@ ROUNDS = 12  # of a plane's refinement
 # of the largest connected part: a smaller one is something else at the same height
 PART = 0.1
 MOST_CELLS = 160  # along the longer side
-CLOSED = 2.5  # cells: holes and gaps narrower than twice this are closed
+_CLOSED = 3  # cells: holes and gaps narrower than twice this are closed
 _RIM = 1.5  # cells: standard deviation of the smoothing
 SAME_DEG = 6.0  # planes of two maps are one if they lean less against each other
 SAME_NOISES, SAME_M = 3.0, 0.015  # and lie so near each other at their middles
@@ -76,8 +76,8 @@ def cloud_of(depth_m: np.ndarray, camera: Camera) -> Cloud | None:
     keep = known[y, x] & np.isfinite(rays).all(-1)
     if keep.sum() < PATCH**2:
         return None
-    near = np.where(keep, divide(1.0, depth_m[y, x]), 0.0)
-    patches, noise = _patches(np.where(keep[..., None], rays, 0.0), near)
+    rays[~keep], near = 0.0, divide(keep, depth_m[y, x])
+    patches, noise = _patches(rays, near)
     z, grid = 1 / near[keep], np.full(keep.shape, -1)
     grid[keep] = np.arange(len(z))
     margin, size = BORDER * max(w, h), np.array([w, h])
@@ -134,7 +134,8 @@ def find_planes(cloud: Cloud) -> list[FoundPlane]:
     free, patches = np.ones(len(near), bool), cloud.patches
     out: list[FoundPlane] = []
     while len(out) < MOST_PLANES and len(patches):
-        some = np.flatnonzero(free)[:: max(1, int(free.sum()) // SCORED)]
+        some = np.flatnonzero(free)
+        some = some[:: max(1, len(some) // SCORED)]
         missed = np.abs(cloud.rays[some] @ patches.T - near[some, None])
         votes = (missed < NEAR * noise[some, None]).sum(0)
         plane = patches[votes.argmax()]
@@ -142,8 +143,8 @@ def find_planes(cloud: Cloud) -> list[FoundPlane]:
             off = (cloud.rays @ plane - near) / (NEAR * noise)
             rows = _connected(cloud.grid, free & (np.abs(off) < 1))
             weight = (1 - off[rows] ** 2) / noise[rows]
-            a, b = cloud.rays[rows] * weight[:, None], near[rows] * weight
-            plane = np.linalg.lstsq(a, b)[0]
+            a = cloud.rays[rows] * weight[:, None]
+            plane = np.linalg.lstsq(a, near[rows] * weight)[0]
         if len(rows) < LEAST_FRACTION * len(near):
             break
         far = 1 / float(np.linalg.norm(plane))
@@ -181,14 +182,15 @@ def seen_of(positions_m: np.ndarray, spacing_m: np.ndarray) -> Seen:
     cell = max(
         float(np.quantile(spacing_m, 0.75)), float((high - low).max()) / MOST_CELLS, 1e-4
     )
-    pad = int(np.ceil(CLOSED)) + 1
+    pad = _CLOSED + 1
     x, y = ((positions_m - low) / cell).astype(int).T + pad
     count = np.zeros((y.max() + 1 + pad, x.max() + 1 + pad), np.uint8)
     count[y, x] = 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * pad - 1, 2 * pad - 1))
+    width = 2 * _CLOSED + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
     mask = cv2.morphologyEx(count, cv2.MORPH_CLOSE, disc)
-    smooth = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), _RIM) > 0.5
-    smooth = smooth.view(np.uint8)
+    soft = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), _RIM)
+    smooth = (soft > 0.5).astype(np.uint8)
     mask = smooth if smooth.any() else mask
     room = cv2.distanceTransform(mask, cv2.DIST_L2, 5)
     cells, inside = (np.argwhere(c)[:, ::-1] for c in (mask, room >= 0.6 * room.max()))
@@ -275,9 +277,13 @@ def _join(planes: list[ScenePlane], new: ScenePlane) -> None:
         gap = max(abs(apart @ old.normal), abs(apart @ new.normal))
         if old.normal @ new.normal > np.cos(np.radians(SAME_DEG)) and gap < near:
             share = len(old.points) / (len(old.points) + len(new.points))
+            pairs = zip(old[1:4], new[1:4], strict=True)
+            points, spacing_m, cut = map(np.concatenate, pairs)
             planes[k] = ScenePlane(
                 normalise(share * old.normal + (1 - share) * new.normal),
-                *map(np.concatenate, zip(old[1:4], new[1:4], strict=True)),
+                points,
+                spacing_m,
+                cut,
                 old.right,
                 share * old.noise_m + (1 - share) * new.noise_m,
                 old.frames + new.frames,
@@ -291,5 +297,8 @@ def facing_up(
 ) -> list[ScenePlane]:
     """Those on which something can stand, the one seen most first."""
     up = normalise(-np.mean([p.rotation[1] for p in camera_from_world], 0))
-    level = [p for p in planes if p.normal @ up > UPRIGHT]
-    return [p for p in level if p.real_plane().area_m2 >= LEAST_AREA_M2]
+    return [
+        p
+        for p in planes
+        if p.normal @ up > UPRIGHT and p.real_plane().area_m2 >= LEAST_AREA_M2
+    ]

@@ -155,9 +155,7 @@ class MarkerDetector:
         px = (np.array(quads, float).reshape(-1, 4, 2) + 0.5) * scale - 0.5
         px += [area.x0, area.y0]
         out = [
-            Candidate(families[family], number, quad)
-            for family, number, quad in zip(
-                of.flat, ids.ravel().tolist(), px, strict=True
-            )
+            Candidate(families[int(family)], int(number), quad)
+            for family, number, quad in zip(np.ravel(of), np.ravel(ids), px, strict=True)
         ]
         return sorted(out, key=lambda c: (c.key, tuple(c.quad_px[0])))

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from scipy.special import bdtr
 
 from arfx.analyse.markers.detect import Candidate
 from arfx.core.marker import FAMILIES, smallest_family
@@ -26,6 +25,8 @@ def legible(luma: np.ndarray, seen: Candidate) -> tuple[bool, bool]:
     """Whether this reading counts as one of several, and whether it is sure by itself: a
     quiet zone, a black border and bits that are all clear; or a code so long that chance
     does not make it."""
+    from scipy.special import bdtr
+
     n = cells_per_side(seen.family)
     corners = (
         SAMPLES * np.array([[1, 1], [n + 1, 1], [n + 1, n + 1], [1, n + 1]], np.float32)

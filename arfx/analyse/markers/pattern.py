@@ -129,10 +129,7 @@ class PatternPicture:
 
         By the coarsest level that is hardly coarser than the print in the frame; where the
         print is blurred, by one of half its size."""
-        quad = _pixels(camera, ideal_from_unit, _CORNERS)
-        if not plausible(quad):
-            return None
-        side = 0.9 * sides(quad).max()
+        side = 0.9 * sides(_pixels(camera, ideal_from_unit, _CORNERS)).max()
         finest = sum(max(level.even.shape) >= side for level in self.levels)
         levels = self.levels[max(finest - 1, 0) :: _BLURRED]
         for level, factor in zip(levels, (1.0, _SHARED), strict=False):

@@ -28,7 +28,7 @@ class PicturedPrints:
         self._camera = camera
 
     def follow(self, frame: AnalysisFrame, last: Mapping[str, Track]) -> list[Detection]:
-        camera = self._scaled(frame)
+        camera = self._camera.scaled_to(*frame.luma.shape[::-1])
         seen = list[Detection]()
         for picture in self._pictures:
             if track := last.get(picture.name):
@@ -40,7 +40,7 @@ class PicturedPrints:
     def find(
         self, frame: AnalysisFrame, missing: Sequence[str], whole: bool
     ) -> list[Detection]:
-        camera = self._scaled(frame)
+        camera = self._camera.scaled_to(*frame.luma.shape[::-1])
         features = frame_features(frame.luma, WHOLE_PX if whole else REDUCED_PX)
         seen = list[Detection]()
         for picture in self._pictures:
@@ -48,10 +48,6 @@ class PicturedPrints:
             if about is not None:
                 seen += _first(picture, frame, camera, [about])
         return seen
-
-    def _scaled(self, frame: AnalysisFrame) -> Camera:
-        h, w = frame.luma.shape
-        return self._camera.scaled_to(w, h)
 
 
 def _first(

@@ -117,17 +117,12 @@ class MarkerSearch:
         shown += [Sighting(index, ANY, False, np.nan, s) for s in pictured.sightings]
         self.prints += shown
         if not self.prints:
-            self._look_for_others(index, luma, found.others)
+            self.others += [OtherPrint(index, False, key) for key in found.others]
+            scanned = ("", *sorted(scan(luma))) if index in SCANS else ()
+            self.others += [OtherPrint(index, True, key) for key in scanned]
         whole = found.whole or pictured.whole
         self.frames.append(FrameRow(index, time_s, width, height, whole, thumbnail(luma)))
         return shown
-
-    def _look_for_others(self, index: int, luma: np.ndarray, ids: Iterable[str]) -> None:
-        self.others += [OtherPrint(index, False, key) for key in ids]
-        if index in SCANS:
-            self.others += [
-                OtherPrint(index, True, key) for key in ("", *sorted(scan(luma)))
-            ]
 
 
 def detections(shown: Sequence[Sighting]) -> list[Detection]:
@@ -196,11 +191,11 @@ def records(
     for s in prints:
         if s.transfer in (transfer, ANY):
             shown.setdefault(s.frame, ([], []))[s.duplicate].append(s.print)
-    pairs = [map(tuple, shown.get(f.frame, ((), ()))) for f in frames]
-    return [
-        Record(f.frame, f.time_s, *pair, f.whole, f.thumbnail)
-        for f, pair in zip(frames, pairs, strict=True)
-    ]
+    out = []
+    for f in frames:
+        seen, duplicates = map(tuple, shown.get(f.frame, ((), ())))
+        out.append(Record(f.frame, f.time_s, seen, duplicates, f.whole, f.thumbnail))
+    return out
 
 
 def nothing_seen(

@@ -114,29 +114,26 @@ class Tracker:
                     _apart(s, o.quad_px) > 0.5 * o.side_px for o in prints
                 ):
                     prints.append(s)
-            if track := self.tracks.get(key):
+            track, speed = self.tracks.get(key), np.zeros((4, 2))
+            if track:
                 expected = track.predicted(time_s)
                 prints.sort(key=lambda s: _apart(s, expected))
             else:
                 prints.sort(key=lambda s: -s.side_px)
             chosen += prints[:1]
             duplicates += prints[1:]
-            self._keep_track(key, time_s, prints[0].quad_px if prints else None)
+            since_s = time_s - track.time_s if track else 0.0
+            if prints:
+                quad = prints[0].quad_px
+                if track and 0 < since_s < _PAIR_S:
+                    speed = (quad - track.quad) / max(since_s, 1e-3)
+                self.tracks[key] = Track(quad, speed, time_s)
+            elif since_s > SEARCH_INTERVAL_S:
+                del self.tracks[key]
+            elif track:
+                self.tracks[key] = track._replace(missing=track.missing + 1)
         others = sorted({s.key for s in seen} - set(self.prints.keys))
         return Found(chosen, duplicates, others, whole)
-
-    def _keep_track(self, key: str, time_s: float, quad: np.ndarray | None) -> None:
-        """quad : where the print is now, None = not there"""
-        track = self.tracks.get(key)
-        if quad is not None:
-            speed = np.zeros((4, 2))
-            if track is not None and 0 < time_s - track.time_s < _PAIR_S:
-                speed = (quad - track.quad) / max(time_s - track.time_s, 1e-3)
-            self.tracks[key] = Track(quad, speed, time_s)
-        elif track is not None and time_s - track.time_s > SEARCH_INTERVAL_S:
-            del self.tracks[key]
-        elif track is not None:
-            self.tracks[key] = track._replace(missing=track.missing + 1)
 
 
 def _apart(seen: Any, quad: np.ndarray) -> float:
