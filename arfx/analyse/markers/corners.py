@@ -109,12 +109,12 @@ def refine_corners(
     half = np.clip(0.6 * cell, *HALF_PX)
     reach = np.clip(0.6 * cell, half, REACH_PX)
     bend = _bend(near, camera)
-    edges = find_edges(luma, table, near, bend, half, (half, half))
+    edges = find_edges(luma, table, near, bend, (half, half))
     ok = _clear(near, edges, half, half)
     far = ~ok & sensible & (reach > half).any(1)
     if far.any():
         here, least, most = near[far], half[far], reach[far]
-        again = find_edges(luma, table, here, bend[far], least, (most, least, least))
+        again = find_edges(luma, table, here, bend[far], (most, least, least))
         for every, those in zip(edges, again, strict=True):
             every[far] = those
         ok[far] = _clear(here, again, least, most)
@@ -233,13 +233,10 @@ def refine_found(
     quads, table = np.stack([c.quad_px for c in found]), linear_table(transfer)
     cells = np.array([cells_per_side(c.family) for c in found])
     r = refine_corners(luma, quads, cells, table, camera)
-    numbers = zip(
-        *(r.sigma_px.tolist(), r.blur_px.tolist(), r.inverted.tolist(), r.skew.tolist()),
-        strict=True,
-    )
+    numbers = (a.tolist() for a in (r.sigma_px, r.blur_px, r.inverted, r.skew))
     out = []
-    for c, quad, (sigma, blur, inverted, skew) in zip(
-        found, r.corners_px, numbers, strict=True
+    for c, quad, sigma, blur, inverted, skew in zip(
+        found, r.corners_px, *numbers, strict=True
     ):
         off = misplaced_px(luma, quad, c.family, c.id, inverted, table)
         out.append((Detection(c.key, quad, sigma, blur, inverted, off), skew))

@@ -66,17 +66,16 @@ def find_edges(
     table: np.ndarray,
     start: np.ndarray,
     bend: np.ndarray,
-    half: np.ndarray,
     reaches: Sequence[np.ndarray],
 ) -> Edges:
     """Edges near quads.
 
     luma : (h, w) uint8;  table : (256,) float32 to light of 255;  start : (n, 4, 2) px
-    bend : (n, 4, SAMPLES, 2) px off the chord;  half : (n, 4) px, as of which the window is
-    reaches : (n, 4) px to either side of an edge, each time that it is sampled"""
+    bend : (n, 4, SAMPLES, 2) px off the chord;  reaches : (n, 4) px to either side of an edge,
+    each time that it is sampled; the window is as of the last"""
     corners, off_chord = (a[..., 0] + 1j * a[..., 1] for a in (start, bend))
-    least = np.clip(WINDOW_FRACTION * half, *WINDOW_PX)
-    weight = there = np.ones((*half.shape, SAMPLES))
+    least = np.clip(WINDOW_FRACTION * reaches[-1], *WINDOW_PX)
+    weight = there = np.ones(bend.shape[:3])
     with np.errstate(all="ignore"):  # what is not finite is no edge
         for first, far in enumerate(reaches):
             fall, place = profiles(luma, table, corners, off_chord, far)
@@ -85,7 +84,7 @@ def find_edges(
             mean = np.einsum("ijst,ijs->ijt", fall, there)
             blur, skew = _shape(mean / there.sum(-1)[..., None], far)
             fit = np.minimum(np.maximum(1.2 * blur[:, None], least), far / 2)
-            ends = np.zeros((*half.shape, 2))
+            ends = np.zeros((*far.shape, 2))
             # a window of width w over an edge of width b sees only w2 / (w2 + b2) of a
             # displacement
             more = np.minimum(1 + (blur[:, None] / fit) ** 2, 3)

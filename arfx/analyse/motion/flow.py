@@ -140,7 +140,7 @@ def joined_steps(
     before, backs = None, {}
     for picture in pictures:
         if picture.begins and before is not None:
-            found = _back(picture.picture, before, picture.width, picture.height)
+            found = _back(picture.picture, before, *picture[2:4])
             backs[picture.frame] = found[0]
         before = picture.picture
     return [replace(s, back=backs.get(s.index, s.back)) for s in steps]
@@ -156,9 +156,8 @@ def _back(
         return np.zeros(node_positions(width, height).shape, np.float32), 1.0
     dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_FAST)  # type: ignore[attr-defined]
     dis.setFinestScale(0)
-    dis.setVariationalRefinementIterations(
-        0
-    )  # it takes a third of the time; `refined` does more
+    # refinement takes a third of the time; `refined` does more
+    dis.setVariationalRefinementIterations(0)
     back = dis.calc(small, reference, None)
     there = dis.calc(reference, small, None)
     x, y = np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32))
@@ -169,7 +168,7 @@ def _back(
     )
     apart = np.linalg.norm(back + again, axis=-1)
     agree = apart < _AGREE_PX + _AGREE_FRACTION * np.linalg.norm(back, axis=-1)
-    agree &= np.abs(before.astype(np.float32) - small) < 40
+    agree &= cv2.absdiff(before, small) < 40
     slope = _slope(small)
     textured = slope > _GRADIENT
     agreed = float(agree[textured].mean()) if textured.sum() > 50 else 1.0
