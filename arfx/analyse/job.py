@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -50,40 +49,6 @@ class AnalysisFrame:
     following: Callable[[], np.ndarray] | None = None
 
 
-class OfFrames(Protocol):
-    """What was taken beside the clip, at times or one for each frame."""
-
-    def of_frames(self, times_s: list[float], before: int, whole: bool) -> list[Any]: ...
-
-
-class Poses(Protocol):
-    """The camera's, as they were given (media.pose_files.CameraPath)."""
-
-    def of_frames(
-        self, times_s: list[float], before: int, whole: bool, gap_s: float
-    ) -> list[Any]: ...
-
-
-class Maps(OfFrames, Protocol):
-    """The clip's depth maps, as they are read here (media.depth_maps.DepthMaps is one)."""
-
-    @property
-    def path(self) -> Path: ...
-
-    @property
-    def count(self) -> int: ...
-
-    @property
-    def still(self) -> bool: ...
-
-    @property
-    def times_s(self) -> Sequence[float] | None: ...
-
-    def load(self, number: int, width: int, height: int) -> np.ndarray: ...
-
-    def digest(self, number: int) -> str: ...
-
-
 @dataclass(frozen=True, eq=False)
 class AnalysisJob:
     """What a clip is analysed with.
@@ -92,8 +57,8 @@ class AnalysisJob:
     clip's size or the same aspect
     marker_map : world_from_marker of a known layout; None = mapped from the clip
     panorama : of LightParams.environment;  anchor : MARKER or PLANE
-    depth : maps of the real scene;  align : scale them to the markers' planes;  poses : of
-    the camera, camera_from_given
+    depth : maps of the real scene (media.depth_maps.DepthMaps);  align : scale them to the
+    markers' planes;  poses : of the camera, camera_from_given (media.pose_files.CameraPath)
     scene : of the job, once it is known what stands where;  progress : (phase, done, in all)
     light_method : (clip, readings, samples, settings, panorama) -> clip with light, in place of
     the corrected method
@@ -108,9 +73,9 @@ class AnalysisJob:
     marker_map: Mapping[str, Pose] | None = None
     panorama: np.ndarray | None = None
     anchor: str = MARKER
-    depth: Maps | None = None
+    depth: Any = None
     align: bool = True
-    poses: Poses | None = None
+    poses: Any = None
     scene: Callable[[Analysis], Scene] | None = None
     progress: Callable[[str, int, int | None], None] = lambda *_: None
     light_method: Callable[..., Analysis] | None = None

@@ -15,13 +15,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from arfx.analyse.job import Analysis, AnalysisFrame
 from arfx.analyse.markers.corners import LIGHT, cell_px, linear_table
-from arfx.analyse.markers.edges import FRACTIONS, Light, profiles
+from arfx.analyse.markers.edges import FRACTIONS, THERE, moments, profiles
 from arfx.analyse.markers.search import ANY, Sighting
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.lens import LensFit
@@ -65,15 +66,10 @@ def side_blurs(
         _HALF_CELLS * cell_px(corners_px[None], np.array([cells]))[0], _MOST_HALF_PX
     )
     steps = 2 * int(half.max() / _STEP_PX) + 1
-    light = Light(luma, table, corners_px, 2 * half.max())
-    corners = corners_px[None] @ [1, 1j]
-    fall, place = profiles([light], corners, np.zeros((1, 4, 1)), half[None], steps)
-    return np.array(
-        [
-            _deviation(fall[0, side, INNER], place[0, side, INNER], half[side])
-            for side in range(4)
-        ]
-    )
+    corners, straight = corners_px[None] @ [1, 1j], np.zeros((1, 4, 1))
+    fall, place = profiles(luma, table, corners, straight, half[None], steps)
+    inner = fall[0, :, INNER], place[0, :, INNER], half
+    return np.array([*map(_deviation, *inner)])
 
 
 def _deviation(slope: np.ndarray, place: np.ndarray, half: float) -> float:
@@ -82,39 +78,30 @@ def _deviation(slope: np.ndarray, place: np.ndarray, half: float) -> float:
     """
     if not half >= _LEAST_HALF_PX:
         return np.nan
-    if slope.sum() < 0:
-        slope = -slope
-    middle, where = place.mean(0), FRACTIONS[INNER]
-    window = np.exp(-0.5 * (place / (half / 2)) ** 2)
-    centre = divide(
-        (slope * window * place).sum(1), (slope * window).sum(1), where_zero=np.nan
+    slope, where = slope * np.sign(slope.sum()), FRACTIONS[INNER]
+    near = slope * np.exp(-0.5 * (place / (half / 2)) ** 2)
+    mass = near.sum(1)
+    centre = divide((near * place).sum(1), mass)
+    # where nothing covers the edge, and it is straight or bent by the lens
+    there = (mass >= THERE * np.sort(mass)[3 * len(mass) // 4]) & (
+        np.abs(centre) < half / 2
     )
-    ok = np.isfinite(centre) & (np.abs(centre) < half / 2)
-    for _ in range(2):
-        if ok.sum() < len(where) // 2:
-            return np.nan
-        edge, shift = ok, np.polyval(np.polyfit(where[ok], centre[ok], 2), where)
-        off = np.abs(shift - centre)
-        ok = ok & (off <= max(3 * float(np.median(off[ok])), 0.1))
-    aligned = zip(place[edge] - shift[edge, None], slope[edge], strict=True)
-    mean = np.mean([np.interp(middle, at, g) for at, g in aligned], axis=0)
+    if there.sum() < len(where) // 2:
+        return np.nan
+    shift = np.polyval(np.polyfit(where[there], centre[there], 2), where)
+    middle, aligned = place.mean(0), place - shift[:, None]
+    mean = np.mean([*map(partial(np.interp, middle), aligned[there], slope[there])], 0)
     s = half / 4
     for _ in range(_ROUNDS):
         w = min(max(_WINDOWS * s, 1.0), half / 2)
-        g = mean * np.exp(-0.5 * (middle / w) ** 2)
-        mass = g.sum()
-        first = divide((g * middle).sum(), mass)
-        second = divide((g * (middle - first) ** 2).sum(), mass)
+        second = moments(mean * np.exp(-0.5 * (middle / w) ** 2), middle)[0]
         variance = divide(1.0, divide(1.0, second) - 1 / w**2, where_zero=half**2)
-        if not (mass > 0 and 0 < variance < half**2):
+        if not 0 < variance < half**2:
             return np.nan
         s = float(np.sqrt(variance))
     stray = np.abs(mean[np.abs(middle) > 3 * s]).sum() / np.abs(mean).sum()
-    return (
-        s
-        if s <= _LARGEST * half and abs(mean.sum()) > _FAINT and stray < _STRAY
-        else np.nan
-    )
+    clear = s <= _LARGEST * half and mean.sum() > _FAINT and stray < _STRAY
+    return s if clear else np.nan
 
 
 class SideBlurs(NamedTuple):
@@ -179,16 +166,13 @@ def footage_lens(
     for number, _, key, blurs, corners in readings:
         last, before[key] = before.get(key), (number, corners)
         fact = facts[number]
-        if (
-            fact.status != MEASURED
-            or fact.camera_from_world is None
-            or key not in world_from_marker
-        ):
+        pose = fact.camera_from_world
+        if fact.status != MEASURED or pose is None or key not in world_from_marker:
             continue
         shift = np.zeros((4, 2))
         if last is not None and last[0] == number - 1:
             shift = corners - last[1]
-        z = (fact.camera_from_world @ world_from_marker[key]).apply(corners_m[key])[:, 2]
+        z = (pose @ world_from_marker[key]).apply(corners_m[key])[:, 2]
         for side in np.flatnonzero(np.isfinite(blurs)):
             ends = [side, (side + 1) % 4]
             (a, b), along = z[ends], normalise(corners[ends[1]] - corners[side])
@@ -205,23 +189,19 @@ def footage_lens(
     if not fit.known:
         return fit
     middle = np.median(frame)
-    halves = [
+    early, late = (
         lens_from_blur(dioptre[half], blur[half], sigma[half])
         for half in (frame < middle, frame >= middle)
-    ]
-    if all(h.known for h in halves):
-        early, late = halves
-        apart = abs(early.focus - late.focus)
-        if (
-            apart
-            > 1.5 * float(np.hypot(early.focus_ci95, late.focus_ci95)) + 0.05 * fit.focus
-        ):
-            words = (
-                f"the focus moves: {early.focus:.3g} and {late.focus:.3g} dioptres in the"
-                " two halves of the clip"
-            )
-            return replace(fit, known=False, reason=words)
-    return fit
+    )
+    # a half that does not tell has an interval without end
+    allowed = 1.5 * np.hypot(early.focus_ci95, late.focus_ci95) + 0.05 * fit.focus
+    if abs(early.focus - late.focus) <= allowed:
+        return fit
+    words = (
+        f"the focus moves: {early.focus:.3g} and {late.focus:.3g} dioptres in the two halves"
+        " of the clip"
+    )
+    return replace(fit, known=False, reason=words)
 
 
 def lens_from_blur(
@@ -235,19 +215,19 @@ def lens_from_blur(
     rows = np.stack(np.broadcast_arrays(dioptre, blur_px, sigma_px)).astype(float)
     d, blur, sigma = rows[:, (np.isfinite(rows) & (rows > 0)).all(0)]
     if len(d) < MIN_EDGES:
-        words = (
-            f"{len(d)} edges of known distance and blur, at least {MIN_EDGES} are needed"
-        )
-        return LensFit(False, words)
+        known = f"{len(d)} edges of known distance and blur"
+        return LensFit(False, f"{known}, at least {MIN_EDGES} are needed")
     middle, spread = float(d.mean()), float(np.subtract(*np.percentile(d, (95, 5))))
     if spread < 1e-6 * middle:
-        words = "the markers are all at one distance: any focus explains the blur"
-        return LensFit(False, words)
+        return LensFit(
+            False, "the markers are all at one distance: any focus explains the blur"
+        )
     error = 2 * blur * sigma  # of blur squared
     a = np.vander((d - middle) / spread, 3) / error[:, None]
     if condition(a.T @ a) > MAX_CONDITION:
-        words = "the markers' distances do not separate a parabola from a line"
-        return LensFit(False, words)
+        return LensFit(
+            False, "the markers' distances do not separate a parabola from a line"
+        )
     b = blur**2 / error
     p = least_squares(
         lambda p: a @ p - b,
@@ -275,10 +255,8 @@ def lens_from_blur(
     ]
     ci, k_ci, sharp_ci = 1.96 * np.sqrt(np.diag(by_p @ covariance @ np.transpose(by_p)))
     if sharp < -3 / 1.96 * sharp_ci:
-        words = (
-            "the blur grows faster with distance than a lens's: something else blurs some"
-        )
-        return LensFit(False, f"{words} edges")
+        why = "the blur grows faster with distance than a lens's"
+        return LensFit(False, f"{why}: something else blurs some edges")
     if ci > 0.5 * middle or focus < -ci:
         limits = f"{focus - ci:.2g} to {focus + ci:.2g} dioptres"
         return LensFit(False, f"the focus is somewhere within {limits}: not known")

@@ -6,13 +6,13 @@ hundred bytes per frame and marker, no pixels but some small pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Collection
+from typing import Any
 
 from arfx.analyse.job import PLANE, AnalysisFrame, AnalysisJob
 from arfx.analyse.lens import SideReader
 from arfx.analyse.light.observe import LightReader, SnapshotTaker
-from arfx.analyse.markers.search import MarkerSearch, Sighting
+from arfx.analyse.markers.search import MarkerSearch
 from arfx.analyse.motion.flow import BackgroundMotion
 from arfx.analyse.pose.at_rest import BackgroundFlow, RestCheck
 from arfx.analyse.tables import Tables, by_columns, rows_of
@@ -27,39 +27,33 @@ KINDS: dict[str, type] = {
 }
 
 
-class Observer(Protocol):
-    """tables : attributes that are lists of rows, and the rows' class, whose first field is
-    the frame's number"""
-
-    @property
-    def tables(self) -> Mapping[str, type]: ...
-
-    def step(self, frame: AnalysisFrame, shown: Sequence[Sighting]) -> Any:
-        """Take the next frame. shown : the prints in it"""
-
-
 class Observation:
     """Feed the frames of a part of the clip, in order, to `step`. wanted : facts, by name
     (`Stage.facts`)
 
+    An observer's `step` takes the next frame and the prints in it. `tables` are its
+    attributes that are lists of rows, and the rows' class, whose first field is the frame's
+    number.
+
     Raises ConfigError for no marker, the same one twice, or a map that lacks one."""
 
     def __init__(self, job: AnalysisJob, wanted: Collection[str] = ()) -> None:
-        on_plane = job.anchor == PLANE
-        self._search = None if on_plane else MarkerSearch(job)
-        self._others: list[Observer] = []
-        if on_plane and job.poses is None:
-            self._others.append(RestCheck())
-        if not on_plane and job.params.static == "auto":
-            self._others.append(BackgroundFlow(job.frames))
-        if not on_plane and {"light", "environment"} & {*wanted}:
-            self._others.append(LightReader(job))
-        if {"light", "environment"} & {*wanted}:
-            self._others.append(SnapshotTaker(job.frames))
+        markers, lit = job.anchor != PLANE, {"light", "environment"} & {*wanted}
+        self._search = MarkerSearch(job) if markers else None
+        self._others: list[Any] = []
+        add = self._others.append
+        if not markers and job.poses is None:
+            add(RestCheck())
+        if markers and job.params.static == "auto":
+            add(BackgroundFlow(job.frames))
+        if markers and lit:
+            add(LightReader(job))
+        if lit:
+            add(SnapshotTaker(job.frames))
         if "flow" in wanted:
-            self._others.append(BackgroundMotion())
-        if not on_plane and "lens" in wanted:
-            self._others.append(SideReader())
+            add(BackgroundMotion())
+        if markers and "lens" in wanted:
+            add(SideReader())
 
     def step(self, frame: AnalysisFrame) -> None:
         """Raises InputError for another size or order."""

@@ -9,8 +9,9 @@ from __future__ import annotations
 import hashlib
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import is_dataclass
 from functools import cache
+from itertools import zip_longest
 from typing import Any, get_type_hints
 
 import numpy as np
@@ -35,14 +36,15 @@ def by_columns(rows: Sequence[Any], kind: type) -> Columns:
             inner = by_columns(values, hint)
             out |= {f"{name}.{k}": column for k, column in inner.items()}
             continue
-        arrays = [None if v is None else np.asarray(v) for v in values]
-        shapes = {None if a is None else a.shape for a in arrays}
-        if len(shapes) <= 1 and None not in shapes:
-            out[name] = np.array(arrays)
+        shapes = [(_NONE,) if v is None else np.shape(v) for v in values]
+        if len({*shapes}) <= 1 and (_NONE,) not in shapes:
+            out[name] = np.array(values)
             continue
-        known = [a.ravel() for a in arrays if a is not None]
+        known = [np.ravel(v) for v in values if v is not None]
         out[name] = np.concatenate(known) if known else np.zeros(0)
-        out[name + _SHAPES] = _padded_shapes(arrays)
+        out[name + _SHAPES] = np.array(
+            [*zip(*zip_longest(*shapes, fillvalue=_UNUSED), strict=True)]
+        )
     return out
 
 
@@ -95,37 +97,21 @@ def _digest(body: bytes) -> bytes:
 
 @cache
 def _fields(kind: type) -> list[tuple[str, Any]]:
-    hints = get_type_hints(kind)
-    names = (
-        [f.name for f in fields(kind)] if is_dataclass(kind) else [*kind.__annotations__]
-    )
-    return [(name, hints[name]) for name in names]
+    return [*get_type_hints(kind).items()]
 
 
 def _is_row(hint: Any) -> bool:
     return isinstance(hint, type) and (is_dataclass(hint) or hasattr(hint, "_fields"))
 
 
-def _padded_shapes(arrays: Sequence[np.ndarray | None]) -> np.ndarray:
-    most = max((a.ndim for a in arrays if a is not None), default=1)
-    out = np.full((len(arrays), max(most, 1)), _UNUSED)
-    for row, a in zip(out, arrays, strict=True):
-        if a is None:
-            row[0] = _NONE
-        else:
-            row[: a.ndim] = a.shape
-    return out
-
-
 def _arrays(flat: np.ndarray, shapes: np.ndarray) -> list[np.ndarray | None]:
     out: list[np.ndarray | None] = []
-    start = 0
     for row in shapes:
+        shape = row[row != _UNUSED]
         if row[0] == _NONE:
             out.append(None)
             continue
-        shape = row[row != _UNUSED]
-        end = start + int(shape.prod())
-        out.append(flat[start:end].reshape(shape))
-        start = end
+        count = int(shape.prod())
+        out.append(flat[:count].reshape(shape))
+        flat = flat[count:]
     return out

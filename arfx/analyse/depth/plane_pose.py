@@ -73,12 +73,9 @@ def plane_poses(
     facts = [FrameFacts(k, t) for k, t in enumerate(times_s)]
     for k, pose in enumerate(poses):
         if pose is not None:
-            stands, status = (
-                pose[0] @ plane.world_from_plane,
-                MEASURED if pose[1] else INTERPOLATED,
-            )
+            stands = pose[0] @ plane.world_from_plane
             facts[k] = facts[k].with_(
-                status=status,
+                status=MEASURED if pose[1] else INTERPOLATED,
                 camera_from_world=stands,
                 raw_camera_from_world=stands,
                 opacity=1.0,
@@ -106,21 +103,14 @@ def with_real_planes(clip: Analysis, job: AnalysisJob) -> Analysis:
     if maps is None or not clip.summary["depth"]["known"]:
         return clip
     camera, sparse = job.camera, list[tuple[np.ndarray, Pose]]()
-    for f in spread(
-        [
-            f
-            for f in clip.facts
-            if f.camera_from_world is not None and f.real_depth is not None
-        ]
-    ):
-        depth, pose = f.real_depth, f.camera_from_world
+    known = [(f.real_depth, f.camera_from_world) for f in clip.facts]
+    for depth, pose in spread([pair for pair in known if None not in pair]):
         if maps.still and sparse and pose == sparse[0][1]:
             continue
         map_ = maps.load(depth.map, camera.width, camera.height)
         sparse.append((map_ * np.float32(depth.scale), pose))
-    return replace(
-        clip, real_planes=tuple(p.real_plane() for p in scene_planes(sparse, camera))
-    )
+    planes = scene_planes(sparse, camera)
+    return replace(clip, real_planes=tuple(p.real_plane() for p in planes))
 
 
 def spread(items: Sequence[Any]) -> list[Any]:

@@ -12,7 +12,6 @@ Cost: O(patches x points) per plane."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -37,7 +36,7 @@ ROUNDS = 12  # of a plane's refinement
 # of the largest connected part: a smaller one is something else at the same height
 PART = 0.1
 MOST_CELLS = 160  # along the longer side
-CLOSED = 2.5  # cells: holes and gaps narrower than twice this are closed
+_CLOSED = 3  # cells: holes and gaps narrower than twice this are closed
 _RIM = 1.5  # cells: standard deviation of the smoothing
 SAME_DEG = 6.0  # planes of two maps are one if they lean less against each other
 SAME_NOISES, SAME_M = 3.0, 0.015  # and lie so near each other at their middles
@@ -48,18 +47,18 @@ CUT = 0.15  # share of those on the picture's border from which on it was the pi
 LEAST_AREA_M2 = 0.02  # what nothing can stand on is no plane to stand on
 
 
-@dataclass(frozen=True, eq=False)
-class Cloud:
+class Cloud(NamedTuple):
     """points (n, 3) CAMERA axes, metres;  rays (n, 3) : towards them, with z = 1
     noise_m (n,) : standard deviation along the axis;  spacing_m (n,) : of neighbouring points
-    pixels (n, 2) : x, y;  grid (rows, columns) : number of the point, -1 = not measured
+    cut (n,) bool : next to the picture's border
+    grid (rows, columns) : number of the point, -1 = not measured
     patches (k, 3) : planes of flat parts of the picture, as `plane @ ray` = 1 / depth"""
 
     points: np.ndarray
     rays: np.ndarray
     noise_m: np.ndarray
     spacing_m: np.ndarray
-    pixels: np.ndarray
+    cut: np.ndarray
     grid: np.ndarray
     patches: np.ndarray
 
@@ -74,20 +73,21 @@ def cloud_of(depth_m: np.ndarray, camera: Camera) -> Cloud | None:
     y, x = np.mgrid[step // 2 : h : step, step // 2 : w : step]
     pixels, own = np.stack([x, y], -1).astype(float), camera.scaled_to(w, h)
     rays = own.directions(pixels)
-    rays = divide(rays, rays[..., 2:])
     keep = known[y, x] & np.isfinite(rays).all(-1)
     if keep.sum() < PATCH**2:
         return None
-    near = np.where(keep, divide(1.0, depth_m[y, x]), 0.0)
-    patches, noise = _patches(np.where(keep[..., None], rays, 0.0), near)
+    rays[~keep], near = 0.0, divide(keep, depth_m[y, x])
+    patches, noise = _patches(rays, near)
     z, grid = 1 / near[keep], np.full(keep.shape, -1)
     grid[keep] = np.arange(len(z))
+    margin, size = BORDER * max(w, h), np.array([w, h])
+    cut = ((pixels < margin) | (pixels > size - 1 - margin)).any(-1)
     return Cloud(
         rays[keep] * z[:, None],
         rays[keep],
         np.maximum(noise * z**2, LEAST_NOISE_M),
         step * z / own.fx,
-        pixels[keep],
+        cut[keep],
         grid,
         patches,
     )
@@ -117,8 +117,7 @@ def _patches(rays: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, float]:
     return planes[flat, :, 0], noise
 
 
-@dataclass(frozen=True, eq=False)
-class FoundPlane:
+class FoundPlane(NamedTuple):
     """normal (3,) unit, towards the camera; normal . x = offset_m, CAMERA axes;  inliers :
     indices into the cloud
     """
@@ -131,23 +130,22 @@ class FoundPlane:
 def find_planes(cloud: Cloud) -> list[FoundPlane]:
     """The planes, that with the most points first; none where nothing is flat."""
     near = 1 / cloud.points[:, 2]
-    noise, least = cloud.noise_m * near**2, LEAST_FRACTION * len(near)
+    noise = cloud.noise_m * near**2
     free, patches = np.ones(len(near), bool), cloud.patches
     out: list[FoundPlane] = []
     while len(out) < MOST_PLANES and len(patches):
-        some = np.flatnonzero(free)[:: max(1, int(free.sum()) // SCORED)]
+        some = np.flatnonzero(free)
+        some = some[:: max(1, len(some) // SCORED)]
         missed = np.abs(cloud.rays[some] @ patches.T - near[some, None])
         votes = (missed < NEAR * noise[some, None]).sum(0)
-        plane, rows = patches[votes.argmax()], np.zeros(0, int)
+        plane = patches[votes.argmax()]
         for _ in range(ROUNDS):
             off = (cloud.rays @ plane - near) / (NEAR * noise)
             rows = _connected(cloud.grid, free & (np.abs(off) < 1))
-            if len(rows) < least:
-                break
             weight = (1 - off[rows] ** 2) / noise[rows]
-            a, b = cloud.rays[rows] * weight[:, None], near[rows] * weight
-            plane = np.linalg.lstsq(a, b)[0]
-        if len(rows) < least:
+            a = cloud.rays[rows] * weight[:, None]
+            plane = np.linalg.lstsq(a, near[rows] * weight)[0]
+        if len(rows) < LEAST_FRACTION * len(near):
             break
         far = 1 / float(np.linalg.norm(plane))
         out.append(FoundPlane(-plane * far, -far, rows))
@@ -184,15 +182,15 @@ def seen_of(positions_m: np.ndarray, spacing_m: np.ndarray) -> Seen:
     cell = max(
         float(np.quantile(spacing_m, 0.75)), float((high - low).max()) / MOST_CELLS, 1e-4
     )
-    pad = int(np.ceil(CLOSED)) + 1
+    pad = _CLOSED + 1
     x, y = ((positions_m - low) / cell).astype(int).T + pad
     count = np.zeros((y.max() + 1 + pad, x.max() + 1 + pad), np.uint8)
     count[y, x] = 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * pad - 1, 2 * pad - 1))
+    width = 2 * _CLOSED + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
     mask = cv2.morphologyEx(count, cv2.MORPH_CLOSE, disc)
-    smooth = (cv2.GaussianBlur(mask.astype(np.float32), (0, 0), _RIM) > 0.5).astype(
-        np.uint8
-    )
+    soft = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), _RIM)
+    smooth = (soft > 0.5).astype(np.uint8)
     mask = smooth if smooth.any() else mask
     room = cv2.distanceTransform(mask, cv2.DIST_L2, 5)
     cells, inside = (np.argwhere(c)[:, ::-1] for c in (mask, room >= 0.6 * room.max()))
@@ -203,8 +201,7 @@ def seen_of(positions_m: np.ndarray, spacing_m: np.ndarray) -> Seen:
     return Seen(area, np.tile(first, 2) + cell * extent, first + cell * middle)
 
 
-@dataclass(frozen=True, eq=False)
-class ScenePlane:
+class ScenePlane(NamedTuple):
     """A plane as found in one or several maps. points (n, 3), spacing_m (n,) : what lies on
     it, world;  up : world;
     cut (n,) bool : points next to the border of their picture;  right : of the picture,
@@ -219,20 +216,21 @@ class ScenePlane:
     noise_m: float
     frames: int
 
-    @property
-    def offset_m(self) -> float:
-        return float(np.median(self.points @ self.normal))
-
     def real_plane(self) -> RealPlane:
         """About the middle of what was seen."""
         x = normalise(self.right - (self.right @ self.normal) * self.normal)
         axes = np.stack([x, np.cross(self.normal, x), self.normal], 1)
         positions = self.points @ axes
         seen = seen_of(positions[:, :2], self.spacing_m)
-        height, middle = self.offset_m, seen.middle_m
+        height, middle = float(np.median(positions[:, 2])), seen.middle_m
         pose = Pose(axes, axes @ np.array([middle[0], middle[1], height]))
         residual_mm = 1e3 * float(np.sqrt(((positions[:, 2] - height) ** 2).mean()))
         x0, y0, x1, y1 = (seen.extent_m - np.tile(middle, 2)).tolist()
+        # whether it ends at its sides x0, y0, x1, y1
+        low, high = np.quantile(positions[:, :2], (0.005, 0.995), 0)
+        rim = RIM * (high - low)
+        near = positions[:, :2] < low + rim, positions[:, :2] > high - rim
+        a, b, c, d = (bool(self.cut[n].sum() < CUT * n.sum()) for n in np.hstack(near).T)
         return RealPlane(
             pose,
             (x0, y0, x1, y1),
@@ -240,18 +238,8 @@ class ScenePlane:
             residual_mm,
             len(positions),
             self.frames,
-            self._ends(positions[:, :2]),
+            (a, b, c, d),
         )
-
-    def _ends(self, positions: np.ndarray) -> tuple[bool, bool, bool, bool]:
-        """Of the sides x0, y0, x1, y1 of what was seen: whether the plane ends there.
-        places (n, 2), plane axes
-        """
-        low, high = np.quantile(positions, (0.005, 0.995), 0)
-        rim = RIM * (high - low)
-        near = np.hstack([positions < low + rim, positions > high - rim]).T
-        a, b, c, d = (bool(n.any()) and float(self.cut[n].mean()) < CUT for n in near)
-        return a, b, c, d
 
 
 def scene_planes(
@@ -264,17 +252,15 @@ def scene_planes(
     for depth, pose in maps:
         if (cloud := cloud_of(depth, camera)) is None:
             continue
-        size, world_from_camera = np.array(depth.shape[1::-1]), pose.inverse()
-        margin = BORDER * size.max()
+        world_from_camera = pose.inverse()
         for found in find_planes(cloud):
             rows = found.inliers
-            at = cloud.pixels[rows]
             cosine = np.abs(normalise(cloud.rays[rows]) @ found.normal)
             plane = ScenePlane(
                 world_from_camera.rotation @ found.normal,
                 world_from_camera.apply(cloud.points[rows]),
                 divide(cloud.spacing_m[rows], np.clip(cosine, 0.2, 1)),
-                ((at < margin) | (at > size - 1 - margin)).any(1),
+                cloud.cut[rows],
                 world_from_camera.rotation[:, 0],
                 float(np.median(cloud.noise_m[rows])),
                 1,
@@ -291,11 +277,13 @@ def _join(planes: list[ScenePlane], new: ScenePlane) -> None:
         gap = max(abs(apart @ old.normal), abs(apart @ new.normal))
         if old.normal @ new.normal > np.cos(np.radians(SAME_DEG)) and gap < near:
             share = len(old.points) / (len(old.points) + len(new.points))
+            pairs = zip(old[1:4], new[1:4], strict=True)
+            points, spacing_m, cut = map(np.concatenate, pairs)
             planes[k] = ScenePlane(
                 normalise(share * old.normal + (1 - share) * new.normal),
-                np.concatenate([old.points, new.points]),
-                np.concatenate([old.spacing_m, new.spacing_m]),
-                np.concatenate([old.cut, new.cut]),
+                points,
+                spacing_m,
+                cut,
                 old.right,
                 share * old.noise_m + (1 - share) * new.noise_m,
                 old.frames + new.frames,
@@ -309,5 +297,8 @@ def facing_up(
 ) -> list[ScenePlane]:
     """Those on which something can stand, the one seen most first."""
     up = normalise(-np.mean([p.rotation[1] for p in camera_from_world], 0))
-    level = [p for p in planes if p.normal @ up > UPRIGHT]
-    return [p for p in level if p.real_plane().area_m2 >= LEAST_AREA_M2]
+    return [
+        p
+        for p in planes
+        if p.normal @ up > UPRIGHT and p.real_plane().area_m2 >= LEAST_AREA_M2
+    ]

@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from arfx.analyse.job import Analysis, AnalysisJob, Maps
+from arfx.analyse.job import Analysis, AnalysisJob
 from arfx.core.camera import Camera
 from arfx.core.codec import Document
 from arfx.core.facts import MEASURED, FrameFacts
@@ -88,10 +88,11 @@ def print_ratios(
 
     depth_m : (h, w) metres, 0 = unknown, any size of the frame's shape"""
     pose = facts.camera_from_world
+    out = [np.zeros(0)]
     if pose is None or facts.status != MEASURED:
-        return np.zeros(0)
+        return out[0]
     h, w = depth_m.shape
-    own, scale, out = camera.scaled_to(w, h), [w / camera.width, h / camera.height], []
+    own, scale = camera.scaled_to(w, h), [w / camera.width, h / camera.height]
     for seen in facts.markers:
         if seen.key not in world_from_marker:
             continue
@@ -109,7 +110,7 @@ def print_ratios(
         # the plane's z along each pixel's ray, over the measured one
         ratio = divide(normal @ here.translation_m, rays @ normal * depth_m[y, x])
         out.append(ratio[ratio > 0])
-    return np.concatenate(out) if out else np.zeros(0)
+    return np.concatenate(out)
 
 
 def depth_scale(ratios: Sequence[np.ndarray]) -> DepthScale:
@@ -145,7 +146,7 @@ def depth_scale(ratios: Sequence[np.ndarray]) -> DepthScale:
 
 
 def with_depth(
-    clip: Analysis, job: AnalysisJob, maps: Maps, of_frames: Sequence[int | None]
+    clip: Analysis, job: AnalysisJob, maps: Any, of_frames: Sequence[int | None]
 ) -> Analysis:
     """The facts with `real_depth`, and a summary for the report.
 

@@ -9,13 +9,13 @@ Source: docs/methods/pose.md#corners. Cost: about 1 ms a frame, and .3 ms a mark
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from arfx.analyse.markers.detect import Candidate, Detection
+from arfx.analyse.markers.detect import Candidate, Detection, sides
 from arfx.analyse.markers.edges import (
     FRACTIONS,
     SAMPLES,
@@ -47,7 +47,8 @@ _BLUR_CELLS, _NEXT_CELL = (
     (0.15, 0.18, 0.21, 0.25, 0.29, 0.32),
     (0.0, 0.001, 0.002, 0.005, 0.014, 0.03),
 )
-_ROWS = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (2, -1), (1, 2), (1, -2))
+_EXACT = (3, 40, 1e-12)  # of an undistorted point: most rounds, and their last step
+_ROWS = np.array([[1, 0], [0, 1], [1, 1], [1, -1], [2, 1], [2, -1], [1, 2], [1, -2]])
 FAINT = 0.25  # light (of 255) across an edge below which it is taken for none
 MOST_PX = 1e5  # of a corner from the picture's: those that are farther off make no sense
 # from coded luma to the values in which corners are refined
@@ -58,8 +59,7 @@ SIGHTINGS = 12  # by fewer than that nothing is decided
 SKEWED = 0.07
 
 
-@dataclass(frozen=True)
-class Corners:
+class Corners(NamedTuple):
     """Refined corners of n markers.
 
     corners_px : (n, 4, 2);  sigma_px : (n,) predicted standard deviation of a corner
@@ -109,12 +109,12 @@ def refine_corners(
     half = np.clip(0.6 * cell, *HALF_PX)
     reach = np.clip(0.6 * cell, half, REACH_PX)
     bend = _bend(near, camera)
-    edges = find_edges(luma, table, near, bend, half, (half, half))
+    edges = find_edges(luma, table, near, bend, (half, half))
     ok = _clear(near, edges, half, half)
     far = ~ok & sensible & (reach > half).any(1)
     if far.any():
         here, least, most = near[far], half[far], reach[far]
-        again = find_edges(luma, table, here, bend[far], least, (most, least, least))
+        again = find_edges(luma, table, here, bend[far], (most, least, least))
         for every, those in zip(edges, again, strict=True):
             every[far] = those
         ok[far] = _clear(here, again, least, most)
@@ -143,13 +143,11 @@ def shared_px(
     several. A side that crosses many rows of pixels averages that away; one that keeps
     within a row, be it a diagonal one, does not. And blur brings the cells behind the
     border near."""
-    side = corners_px[:, [1, 2, 3, 0]] - corners_px
-    shared = np.zeros(side.shape[:2])
-    for x, y in _ROWS:
-        crossed = np.abs(
-            side[..., 0] * y - side[..., 1] * x
-        )  # rows of pixels along (x, y): 1 / |(x, y)| apart
-        shared += 1.0 / ((x * x + y * y) * (1.0 + (crossed / 1.2) ** 4) ** 2)
+    side = np.roll(corners_px, -1, 1) - corners_px
+    # rows of pixels along (x, y): 1 / |(x, y)| apart
+    crossed = np.abs(side @ [_ROWS[:, 1], -_ROWS[:, 0]])
+    apart2 = (_ROWS**2).sum(1) * (1.0 + (crossed / 1.2) ** 4) ** 2
+    shared = (1.0 / apart2).sum(-1)
     cell, blur = cell_px(corners_px, cells), np.asarray(blur_px)[:, None]
     window = np.clip(WINDOW_FRACTION * np.clip(0.6 * cell, *HALF_PX), *WINDOW_PX)
     step = np.minimum(
@@ -168,11 +166,10 @@ def cell_px(quad: np.ndarray, cells: np.ndarray) -> np.ndarray:
     """(n, 4) px from each side of quads (n, 4, 2) to the next line of cells; cells : (n,)
     along a side.
     """
-    length = np.linalg.norm(quad[:, [1, 2, 3, 0]] - quad, axis=-1)
+    length = sides(quad)
     opposite = length[:, [2, 3, 0, 1]]
-    across, up = quad[:, 2] - quad[:, 0], quad[:, 3] - quad[:, 1]
-    area = np.abs(across[:, 0] * up[:, 1] - across[:, 1] * up[:, 0]) / 2
-    deep = divide(2 * area[:, None], length + opposite) * np.minimum(
+    area2 = np.abs(np.linalg.det(quad[:, [2, 3]] - quad[:, [0, 1]]))
+    deep = divide(area2[:, None], length + opposite) * np.minimum(
         divide(length, opposite, where_zero=1.0), 1.0
     )
     return np.asarray(deep / np.reshape(cells, (-1, 1)))
@@ -191,22 +188,17 @@ def _bend(quad: np.ndarray, camera: Camera | None) -> np.ndarray:
     """(n, 4, SAMPLES, 2) px by which the image of a straight side leaves its chord."""
     if camera is None or not camera.distorted:
         return np.zeros((len(quad), 4, SAMPLES, 2))
-    chord = (quad[:, [1, 2, 3, 0]] - quad)[:, :, None]
-    foot = quad[:, :, None] + FRACTIONS[:, None] * chord
     focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
-    undistort = (
-        cv2.fisheye.undistortPoints if camera.model == FISHEYE else cv2.undistortPoints
-    )
-    ideal = undistort(quad.reshape(-1, 1, 2), camera.matrix, camera.distortion)
-    ideal = ideal.reshape(quad.shape)
-    ideal += (quad - centre) / focal - camera.distort(
-        ideal
-    )  # OpenCV takes five steps only
-    side = (ideal[:, [1, 2, 3, 0]] - ideal)[:, :, None]
-    share = np.full((*foot.shape[:3], 1), 0.0) + FRACTIONS[:, None]
+    fisheye = camera.model == FISHEYE
+    undistort = cv2.fisheye.undistortPoints if fisheye else cv2.undistortPoints
+    ideal = undistort(
+        quad.reshape(-1, 1, 2), camera.matrix, camera.distortion, criteria=_EXACT
+    ).reshape(quad.shape)
+    chord, side = ((np.roll(a, -1, 1) - a)[:, :, None] for a in (quad, ideal))
+    foot = quad[:, :, None] + FRACTIONS[:, None] * chord
+    share = FRACTIONS[:, None]
     for _ in range(2):  # where along the ideal side: the lens moves points along it, too
-        straight = ideal[:, :, None] + share * side
-        off = camera.distort(straight) * focal + centre - foot
+        off = camera.distort(ideal[:, :, None] + share * side) * focal + centre - foot
         along = divide((off * chord).sum(-1), (chord * chord).sum(-1))[..., None]
         share = share - along
     off -= along * chord
@@ -232,28 +224,20 @@ def chosen_transfer(in_light: Sequence[float], in_code: Sequence[float]) -> str:
 
 
 def refine_found(
-    luma: np.ndarray, found: Sequence[Candidate], table: np.ndarray, camera: Camera
-) -> tuple[tuple[Detection, ...], np.ndarray]:
-    """The prints that were found, refined, and (n,) the skew of their edges, as `Corners`."""
+    luma: np.ndarray, found: Sequence[Candidate], transfer: str, camera: Camera
+) -> list[tuple[Detection, float]]:
+    """The prints that were found, refined in LIGHT or CODE, each with the skew of its edges,
+    as of `Corners`."""
     if not found:
-        return (), np.zeros(0)
-    quads = np.stack([c.quad_px for c in found])
-    r = refine_corners(
-        luma, quads, np.array([cells_per_side(c.family) for c in found]), table, camera
-    )
-    off = [
-        misplaced_px(luma, r.corners_px[i], c.family, c.id, bool(r.inverted[i]), table)
-        for i, c in enumerate(found)
-    ]
-    seen = tuple(
-        Detection(
-            c.key,
-            r.corners_px[i],
-            float(r.sigma_px[i]),
-            float(r.blur_px[i]),
-            bool(r.inverted[i]),
-            off[i],
-        )
-        for i, c in enumerate(found)
-    )
-    return seen, r.skew
+        return []
+    quads, table = np.stack([c.quad_px for c in found]), linear_table(transfer)
+    cells = np.array([cells_per_side(c.family) for c in found])
+    r = refine_corners(luma, quads, cells, table, camera)
+    numbers = (a.tolist() for a in (r.sigma_px, r.blur_px, r.inverted, r.skew))
+    out = []
+    for c, quad, sigma, blur, inverted, skew in zip(
+        found, r.corners_px, *numbers, strict=True
+    ):
+        off = misplaced_px(luma, quad, c.family, c.id, inverted, table)
+        out.append((Detection(c.key, quad, sigma, blur, inverted, off), skew))
+    return out

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -36,8 +37,7 @@ SCANNED_FAMILIES = (
 _REDUCED_WINDOW_PX = 9
 
 
-@dataclass(frozen=True)
-class Candidate:
+class Candidate(NamedTuple):
     """A decoded marker. quad_px : (4, 2) whole-frame pixels, about 1 px accurate, order of
     MarkerSpec.corners_m.
     """
@@ -52,11 +52,10 @@ class Candidate:
 
     @property
     def side_px(self) -> float:
-        return mean_side(self.quad_px)
+        return float(sides(self.quad_px).mean())
 
 
-@dataclass(frozen=True)
-class Detection:
+class Detection(NamedTuple):
     """One marker print in one frame, refined.
 
     corners_px : (4, 2);  sigma_px : predicted standard deviation of a coordinate, without
@@ -80,7 +79,7 @@ class Detection:
 
     @property
     def side_px(self) -> float:
-        return mean_side(self.corners_px)
+        return float(sides(self.corners_px).mean())
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,29 +98,19 @@ class Record:
     thumbnail: np.ndarray
 
 
-def mean_side(quad: np.ndarray) -> float:
-    """Mean length of the sides of a quad (4, 2)."""
-    return float(np.linalg.norm(quad - np.roll(quad, -1, 0), axis=1).mean())
+def sides(quads: np.ndarray) -> np.ndarray:
+    """(..., 4) lengths of the sides of quads (..., 4, 2), from corner k to k + 1."""
+    return np.linalg.norm(np.roll(quads, -1, -2) - quads, axis=-1)
 
 
+@dataclass
 class MarkerDetector:
-    """One detector for a set of families: squares are looked for once."""
+    """One detector for a set of families: squares are looked for once. min_side_px : smaller
+    ones are left out;  inverted : white on black is looked for too"""
 
-    def __init__(
-        self, families: Iterable[str], min_side_px: float = 9.0, inverted: bool = True
-    ) -> None:
-        self.families = tuple(dict.fromkeys(families))
-        self.min_side_px = min_side_px
-        self._parameters = cv2.aruco.DetectorParameters()
-        self._parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
-        self._parameters.detectInvertedMarker = inverted
-        self._parameters.minDistanceToBorder = 1
-        dictionaries = [dictionary(f) for f in self.families]
-        self._detector = (
-            cv2.aruco.ArucoDetector(dictionaries, self._parameters)
-            if dictionaries
-            else None
-        )
+    families: Iterable[str]
+    min_side_px: float = 9.0
+    inverted: bool = True
 
     def search(
         self,
@@ -137,41 +126,36 @@ class MarkerDetector:
         min_side_px : leave out what is smaller (of the image searched), beside what the
         detector leaves out anyway
         """
-        height, width = luma.shape
-        area = (
-            Rect.of(width, height) if rect is None else rect.clip(Rect.of(width, height))
-        )
-        if self._detector is None or area.width < 8 or area.height < 8:
+        whole = Rect.of(luma.shape[1], luma.shape[0])
+        area = whole if rect is None else rect.clip(whole)
+        if min(area.width, area.height) < 8:
             return []
-        image = luma[area.slices]
+        image = np.ascontiguousarray(luma[area.slices])
         if factor > 1:
-            image = cv2.resize(
-                image,
-                (area.width // factor, area.height // factor),
-                interpolation=cv2.INTER_AREA,
-            )
-        image = np.ascontiguousarray(image)
-        # A reduced image is searched to see whether there is something at all: one
-        # threshold window finds the same markers as OpenCV's three (3, 13, 23 px) on every
-        # real test clip, in less than half of the time.
-        self._parameters.adaptiveThreshWinSizeMin = (
-            _REDUCED_WINDOW_PX if factor > 1 else 3
-        )
-        self._parameters.adaptiveThreshWinSizeMax = (
-            _REDUCED_WINDOW_PX if factor > 1 else 23
-        )
-        self._parameters.minMarkerPerimeterRate = (
-            4 * max(self.min_side_px, min_side_px) / max(image.shape)
-        )
-        self._detector.setDetectorParameters(self._parameters)
-        quads, ids, _, of = self._detector.detectMarkersMultiDict(image)
+            size = area.width // factor, area.height // factor
+            image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        options = cv2.aruco.DetectorParameters()
+        options.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
+        options.detectInvertedMarker = self.inverted
+        options.minDistanceToBorder = 1
+        if factor > 1:
+            # A reduced image is searched to see whether there is something at all: one
+            # threshold window finds the same markers as OpenCV's three (3, 13, 23 px) on
+            # every real test clip, in less than half of the time.
+            options.adaptiveThreshWinSizeMin = _REDUCED_WINDOW_PX
+            options.adaptiveThreshWinSizeMax = _REDUCED_WINDOW_PX
+        least_px = max(self.min_side_px, min_side_px)
+        options.minMarkerPerimeterRate = 4 * least_px / max(image.shape)
+        families = [*dict.fromkeys(self.families)]
+        detector = cv2.aruco.ArucoDetector([dictionary(f) for f in families], options)
+        quads, ids, _, of = detector.detectMarkersMultiDict(image)
         if not quads:
             return []
         scale = np.array([area.width / image.shape[1], area.height / image.shape[0]])
         px = (np.array(quads, float).reshape(-1, 4, 2) + 0.5) * scale - 0.5
         px += [area.x0, area.y0]
         out = [
-            Candidate(self.families[int(family)], int(number), quad)
+            Candidate(families[int(family)], int(number), quad)
             for family, number, quad in zip(np.ravel(of), np.ravel(ids), px, strict=True)
         ]
         return sorted(out, key=lambda c: (c.key, tuple(c.quad_px[0])))

@@ -31,7 +31,7 @@ _NEXT, _BEFORE = [1, 2, 3, 0], [3, 0, 1, 2]  # of the corners, clockwise
 _MIDDLES = (np.arange(1, STEPS) - STEPS / 2) / (STEPS / 2 - 0.5)
 # A normal on which the edge is fainter than so much of the side's (its upper quartile)
 # meets something that covers the print.
-_THERE = 0.5
+THERE = 0.5
 _LINES = 2  # laid through the samples of one place
 _ROUNDS = 2  # of a robust line, each with the weights of the one before
 # Standard deviation of scatter over its mean size, under the weights of a robust line: 1.54
@@ -66,28 +66,25 @@ def find_edges(
     table: np.ndarray,
     start: np.ndarray,
     bend: np.ndarray,
-    half: np.ndarray,
     reaches: Sequence[np.ndarray],
 ) -> Edges:
     """Edges near quads.
 
     luma : (h, w) uint8;  table : (256,) float32 to light of 255;  start : (n, 4, 2) px
-    bend : (n, 4, SAMPLES, 2) px off the chord;  half : (n, 4) px, as of which the window is
-    reaches : (n, 4) px to either side of an edge, each time that it is sampled"""
-    margins = 3 * np.max(reaches, axis=(0, 2))
-    lights = [Light(luma, table, *of) for of in zip(start, margins, strict=True)]
+    bend : (n, 4, SAMPLES, 2) px off the chord;  reaches : (n, 4) px to either side of an edge,
+    each time that it is sampled; the window is as of the last"""
     corners, off_chord = (a[..., 0] + 1j * a[..., 1] for a in (start, bend))
-    least = np.clip(WINDOW_FRACTION * half, *WINDOW_PX)
-    weight = there = np.ones((*half.shape, SAMPLES))
+    least = np.clip(WINDOW_FRACTION * reaches[-1], *WINDOW_PX)
+    weight = there = np.ones(bend.shape[:3])
     with np.errstate(all="ignore"):  # what is not finite is no edge
         for first, far in enumerate(reaches):
-            fall, place = profiles(lights, corners, off_chord, far)
+            fall, place = profiles(luma, table, corners, off_chord, far)
             inverted = fall.sum((1, 2, 3)) < 0
             fall[inverted] *= -1
             mean = np.einsum("ijst,ijs->ijt", fall, there)
             blur, skew = _shape(mean / there.sum(-1)[..., None], far)
             fit = np.minimum(np.maximum(1.2 * blur[:, None], least), far / 2)
-            ends = np.zeros((*half.shape, 2))
+            ends = np.zeros((*far.shape, 2))
             # a window of width w over an edge of width b sees only w2 / (w2 + b2) of a
             # displacement
             more = np.minimum(1 + (blur[:, None] / fit) ** 2, 3)
@@ -99,7 +96,7 @@ def find_edges(
                 inside = fall * np.exp(-0.5 * (away / window[..., None, None]) ** 2)
                 own = inside.sum(-1)
                 clear = np.sort(own, -1)[..., 3 * SAMPLES // 4]
-                there = own >= _THERE * clear[..., None]
+                there = own >= THERE * clear[..., None]
                 mass = (own * there).sum(-1) / there.sum(-1)
                 seen = np.einsum("...t,...t->...", inside, away)
                 seen *= (gain / mass)[..., None]
@@ -112,29 +109,21 @@ def find_edges(
     return Edges(quad, clear.min(1), spread, blur, skew, inverted)
 
 
-class Light:
-    """Linear light around a quad. origin : px of its first pixel"""
-
-    def __init__(
-        self, luma: np.ndarray, table: np.ndarray, quad: np.ndarray, margin: float
-    ) -> None:
-        h, w = luma.shape
-        part = Rect.around(quad, float(margin)).clip(Rect.of(w, h))
-        part = Rect.of(w, h) if part.empty else part
-        self.values = cv2.LUT(luma[part.slices], table)
-        self.origin = np.complex64(part.x0 + 1j * part.y0)
-
-    def sampled(self, places: np.ndarray) -> np.ndarray:
-        """(m, k) at places (m, k) complex64 px; the border is replicated."""
-        xy = places - self.origin
-        border = cv2.BORDER_REPLICATE
-        return cv2.remap(
-            self.values, xy.real, xy.imag, cv2.INTER_LINEAR, borderMode=border
-        )
+def sampled(luma: np.ndarray, table: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """(m, k) linear light at places (m, k) complex64 px along lines; the border is
+    replicated."""
+    h, w = luma.shape
+    ends = places[:, [0, -1]]
+    part = Rect.around(np.stack([ends.real, ends.imag], -1), 1.0).clip(Rect.of(w, h))
+    part = Rect.of(w, h) if part.empty else part
+    xy = places - np.complex64(part.x0 + 1j * part.y0)
+    light, border = cv2.LUT(luma[part.slices], table), cv2.BORDER_REPLICATE
+    return cv2.remap(light, xy.real, xy.imag, cv2.INTER_LINEAR, borderMode=border)
 
 
 def profiles(
-    lights: Sequence[Light],
+    luma: np.ndarray,
+    table: np.ndarray,
     corners: np.ndarray,
     off_chord: np.ndarray,
     far: np.ndarray,
@@ -152,9 +141,8 @@ def profiles(
     exact = np.round(wanted * _REMAP_STEPS) / _REMAP_STEPS
     along = along + ((exact - wanted) * inwards.conj()).real
     exact[~np.isfinite(exact)] = 0  # of a quad of which nothing will come
-    exact = exact.reshape(len(lights), 4 * SAMPLES, steps)
-    seen = [one.sampled(at) for one, at in zip(lights, exact, strict=True)]
-    light = np.reshape(seen, along.shape)
+    quads = exact.reshape(len(corners), 4 * SAMPLES, steps)
+    light = np.reshape([sampled(luma, table, at) for at in quads], along.shape)
     return light[..., :-1] - light[..., 1:], (along[..., :-1] + along[..., 1:]) / 2
 
 
@@ -188,14 +176,14 @@ def _shape(mean: np.ndarray, far: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Standard deviation px and skew (n,) of the mean profiles (n, 4, STEPS - 1) over the
     sides; the narrowing by the window that it is seen through is taken out."""
     place, most = far[..., None] * _MIDDLES, far**2
-    second = _moments(np.maximum(mean, 0) * np.exp(-2 * _MIDDLES**2), place)[0]
+    second = moments(np.maximum(mean, 0) * np.exp(-2 * _MIDDLES**2), place)[0]
     variance = 1 / np.maximum(1 / second - 4 / most, 1 / most)
     blur = np.sqrt(np.sort(np.maximum(variance, 0.04), -1)[:, 1:3].mean(-1))
     near = np.exp(-0.5 * (place / (1.5 * blur[:, None, None])) ** 2)
-    return blur, _moments(mean * near, place)[1].mean(-1) / blur**3
+    return blur, moments(mean * near, place)[1].mean(-1) / blur**3
 
 
-def _moments(profile: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def moments(profile: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Means of the square and of the cube of `place` about its mean, under profiles along the
     last axis."""
     profile = profile / profile.sum(-1, keepdims=True)

@@ -15,7 +15,9 @@ import numpy as np
 from arfx.core.marker_codes import cells_per_side, marker_cells
 from arfx.core.numerics import divide
 
-_ACROSS = np.linspace(-0.4, 0.4, 9)  # cells, where a line between two cells is sampled
+# cells, where a line between two cells is sampled, between the middles of both
+_REACH = 0.4
+_ACROSS = np.array([-0.5, *np.linspace(-_REACH, _REACH, 9), 0.5])
 _LEAST_CONTRAST = 0.4  # of the usual one: fainter, one of the two cells is covered
 LEAST_LINES = 12
 # three deviations of a corner, each three of the mean of the lines: it lies outside of them
@@ -61,29 +63,19 @@ def misplaced_px(
         return 0.0
     square = np.array([[0, 0], [cells, 0], [cells, cells], [0, cells]], np.float32)
     h = cv2.getPerspectiveTransform(square, np.asarray(corners_px, np.float32))
-    across = np.concatenate(
-        [_ACROSS, [-0.5, 0.5]]
-    )  # the last two: the middles of both cells
-    at = middle[:, None] + across[:, None] * normal[:, None]
-    xy = cv2.perspectiveTransform(at, h).astype(np.float32)
-    light = table[
-        cv2.remap(
-            luma,
-            xy[..., 0],
-            xy[..., 1],
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
-    ]
+    at = middle[:, None] + _ACROSS[:, None] * normal[:, None]
+    x, y = np.moveaxis(cv2.perspectiveTransform(at, h).astype(np.float32), -1, 0)
+    read = cv2.remap(luma, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    light = table[read]
     light = 255 - light if inverted else light
-    dark, bright = light[:, -2], light[:, -1]
+    dark, bright = light[:, 0], light[:, -1]
     contrast = bright - dark
     clear = contrast > _LEAST_CONTRAST * np.median(contrast)
     if clear.sum() < LEAST_LINES or np.median(contrast) <= 0:
         return 0.0
     # of a line that is off by d the mean over -w to w is off by d / 2 w of the contrast
-    level = divide(light[:, :-2].mean(1) - (dark + bright) / 2, contrast)
-    off = -level * 2 * _ACROSS[-1]
+    level = divide(light[:, 1:-1].mean(1) - (dark + bright) / 2, contrast)
+    off = -level * 2 * _REACH
     plane = np.concatenate([np.ones((len(off), 1)), middle / cells - 0.5], 1)
     ends = np.concatenate([np.ones((4, 1)), square / cells - 0.5], 1)
     off, normal = off[clear], normal[clear]

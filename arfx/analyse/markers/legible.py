@@ -6,8 +6,6 @@ of few bits turn up everywhere."""
 
 from __future__ import annotations
 
-from math import comb
-
 import cv2
 import numpy as np
 
@@ -27,6 +25,8 @@ def legible(luma: np.ndarray, seen: Candidate) -> tuple[bool, bool]:
     """Whether this reading counts as one of several, and whether it is sure by itself: a
     quiet zone, a black border and bits that are all clear; or a code so long that chance
     does not make it."""
+    from scipy.special import bdtr
+
     n = cells_per_side(seen.family)
     corners = (
         SAMPLES * np.array([[1, 1], [n + 1, 1], [n + 1, n + 1], [1, n + 1]], np.float32)
@@ -53,15 +53,9 @@ def legible(luma: np.ndarray, seen: Candidate) -> tuple[bool, bool]:
         min((paper_like[depth == 0] > 0).mean(), (paper_like[depth == 1] < 0).mean())
         >= CLEAN
     )
-    chance = _chance(seen.family, seen.id, wrong)
+    # that bits by chance are one of the family's codes with so many wrong ones, in one of
+    # four turns
+    codes = FAMILIES[smallest_family(seen.family, seen.id)]
+    chance = 4 * codes * float(bdtr(wrong, code.size, 0.5))
     sure = bool(clean and bits.min() >= MARGIN) or chance <= SURE
     return sure or wrong == 0 or chance <= HOLDS, sure
-
-
-def _chance(family: str, number: int, wrong: int) -> float:
-    """That bits by chance are one of the family's codes with so many wrong ones, in one of
-    four turns.
-    """
-    bits = (cells_per_side(family) - 2) ** 2
-    codes = FAMILIES[smallest_family(family, number)]
-    return 4 * codes * sum(comb(bits, k) for k in range(wrong + 1)) / 2.0**bits

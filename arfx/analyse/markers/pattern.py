@@ -14,17 +14,16 @@ Source: docs/methods/pose.md#patterns. Cost (two threads): `align` 5 to 12 ms, `
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
+from arfx.analyse.markers.detect import Detection, sides
 from arfx.analyse.markers.texture import even_contrast, follow
 from arfx.core.camera import FISHEYE, Camera
 from arfx.core.colour import SRGB
 from arfx.core.numerics import divide
-from arfx.core.rect import Rect
 from arfx.errors import ConfigError, InputError
 
 BASE_PX, LEVEL = (
@@ -61,8 +60,7 @@ _ALIKE = 1.5  # corners whose windows overlap err alike: factor on the deviation
 _LEAST_PX = 1e-4  # of residuals: no corner is followed better
 
 
-@dataclass(frozen=True, eq=False)
-class Level:
+class Level(NamedTuple):
     """The picture at one size.
 
     even : (h, w) uint8 of even local contrast;  points : (k, 2) float32 px, its corners
@@ -77,22 +75,6 @@ class Level:
         return np.array([[1 / w, 0, 0.5 / w], [0, 1 / h, 0.5 / h], [0, 0, 1]])
 
 
-@dataclass(frozen=True, eq=False)
-class Alignment:
-    """ideal_from_unit : (3, 3);  corners_px : (4, 2) of the print in the picture, order of
-    MarkerSpec.corners_m
-    sigma_px : standard deviation of their coordinates;  share : of the print's corners that agree
-    misfit_px : root mean square distance of what was followed in the texture from where a
-    flat print of this picture has it
-    """
-
-    ideal_from_unit: np.ndarray
-    corners_px: np.ndarray
-    sigma_px: float
-    share: float
-    misfit_px: float
-
-
 class PatternPicture:
     """The picture of one print. luma : (h, w) uint8
 
@@ -105,15 +87,12 @@ class PatternPicture:
                 f"pattern {name} is {w}x{h}",
                 f"a picture of at least {LEAST_PICTURE_PX} pixels each way",
             )
-        self.name = name
+        self.name, self.levels = name, list[Level]()
         side = float(min(BASE_PX, max(h, w)))
-        images = list[np.ndarray]()
+        self._units, self._descriptors = _described(_resized(luma, side))
         while side >= LEAST_LEVEL_PX:
-            size = [max(round(length * side / max(h, w)), 8) for length in (w, h)]
-            images.append(cv2.resize(luma, size, interpolation=cv2.INTER_AREA))
+            self.levels.append(_level(_resized(luma, side)))
             side *= LEVEL
-        self.levels = [_level(image) for image in images]
-        self._units, self._descriptors = _described(images[0])
         if len(self._units) < LEAST_FEATURES:
             raise InputError(
                 f"pattern {name} is too plain: {len(self._units)} features, at least"
@@ -125,8 +104,7 @@ class PatternPicture:
         """ideal_from_unit by matching features, right to some pixels; None where too few agree."""
         if len(features.descriptors) < LEAST_MATCHES:
             return None
-        matches = cv2.BFMatcher(cv2.NORM_L2)
-        pairs = matches.knnMatch(self._descriptors, features.descriptors, 2)
+        pairs = cv2.BFMatcher().knnMatch(self._descriptors, features.descriptors, 2)
         good = [m for m, second in pairs if m.distance < RATIO * second.distance]
         ideal = camera.normalised(features.pixels[[m.trainIdx for m in good]])
         known = np.isfinite(ideal).all(1)
@@ -141,27 +119,24 @@ class PatternPicture:
         if h is None or int(inside.sum()) < LEAST_MATCHES:
             return None
         pixel, base = 1 / camera.fx, float(BASE_PX)
-        return np.diag([pixel, pixel, 1.0]) @ h @ np.diag([base, base, 1.0])
+        return h * np.outer([pixel, pixel, 1], [base, base, 1])
 
     def align(
         self, luma: np.ndarray, camera: Camera, ideal_from_unit: np.ndarray
-    ) -> Alignment | None:
-        """The print where it is, from where it is about; None where it is not there.
+    ) -> tuple[Detection, float] | None:
+        """The print where it is, from where it is about, and the share of its corners in view
+        that agree; None where it is not there.
 
         By the coarsest level that is hardly coarser than the print in the frame; where the
         print is blurred, by one of half its size."""
-        quad = _pixels(camera, ideal_from_unit, _CORNERS)
-        if not plausible(quad):
-            return None
-        side = 0.9 * float(np.linalg.norm(quad - np.roll(quad, -1, 0), axis=1).max())
+        side = 0.9 * sides(_pixels(camera, ideal_from_unit, _CORNERS)).max()
         finest = sum(max(level.even.shape) >= side for level in self.levels)
         levels = self.levels[max(finest - 1, 0) :: _BLURRED]
         for level, factor in zip(levels, (1.0, _SHARED), strict=False):
-            near = _match(level, luma, camera, ideal_from_unit, _REACH)
-            exact = near and _match(level, luma, camera, near.ideal_from_unit, 0)
-            there = exact and _aligned(exact, camera)
-            if there and factor * there.sigma_px <= MOST_SIGMA_PX:
-                return replace(there, sigma_px=factor * there.sigma_px)
+            match = _match(level, luma, camera, ideal_from_unit)
+            there = match and _aligned(self.name, match, camera)
+            if match and there and factor * there.sigma_px <= MOST_SIGMA_PX:
+                return there._replace(sigma_px=factor * there.sigma_px), match.share
         return None
 
 
@@ -174,16 +149,13 @@ def check_turned(name: str, luma: np.ndarray) -> None:
     mirror lines are a turn by 180 degrees."""
     picture = PatternPicture(name, luma)
     h, w = picture.levels[0].even.shape
-    luma, camera = (
-        cv2.resize(luma, (w, h), interpolation=cv2.INTER_AREA),
-        Camera.guess(w, h),
-    )
+    luma, camera = _resized(luma, max(w, h)), Camera.guess(w, h)
     ideal_from_unit = homography_of(camera.normalised(_CORNERS * [w, h] - 0.5))
     for degrees in _TURNS:
         m = cv2.getRotationMatrix2D(((w - 1) / 2, (h - 1) / 2), degrees, 1)
         turned = cv2.warpAffine(luma, m, (w, h), borderMode=cv2.BORDER_REPLICATE)
         there = picture.align(turned, camera, ideal_from_unit)
-        if there is not None and there.share >= _SAME:
+        if there and there[1] >= _SAME:
             raise ConfigError(
                 f"pattern {name} looks the same when it is turned by {degrees} degrees: its"
                 " pose would be a guess",
@@ -192,8 +164,7 @@ def check_turned(name: str, luma: np.ndarray) -> None:
             )
 
 
-@dataclass(frozen=True, eq=False)
-class Features:
+class Features(NamedTuple):
     """Of a frame. pixels : (n, 2) of the frame;  descriptors : (n, 128);  px : the searched
     image's pixel, in the frame's
     """
@@ -206,38 +177,34 @@ class Features:
 def frame_features(luma: np.ndarray, most_px: float) -> Features:
     """SIFT features of a frame, reduced to about `most_px` pixels where it has more."""
     h, w = luma.shape
-    scale = max(float(np.sqrt(h * w / most_px)), 1.0)
-    size = max(round(w / scale), 1), max(round(h / scale), 1)
-    small = luma if scale == 1 else cv2.resize(luma, size, interpolation=cv2.INTER_AREA)
-    at, descriptors = _found(_sift(FRAME_FEATURES), small)
-    return Features((at + 0.5) * [w / size[0], h / size[1]] - 0.5, descriptors, scale)
-
-
-def _sift(most: int) -> cv2.Feature2D:
-    return cv2.SIFT.create(most, contrastThreshold=_FAINT)
+    px = max(float(np.sqrt(h * w / most_px)), 1.0)
+    size = max(round(w / px), 1), max(round(h / px), 1)
+    finder = cv2.SIFT.create(FRAME_FEATURES, contrastThreshold=_FAINT)
+    units, descriptors = _found(
+        finder, cv2.resize(luma, size, interpolation=cv2.INTER_AREA)
+    )
+    return Features(units * [w, h] - 0.5, descriptors, px)
 
 
 def _found(finder: cv2.Feature2D, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(places (n, 2) px, descriptors (n, 128)) of an image's features."""
+    """Of an image's features their places (n, 2), in its size, and descriptors (n, 128)."""
     keypoints, descriptors = finder.detectAndCompute(image, None)
     if descriptors is None:
         return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
-    return np.array([k.pt for k in keypoints]), descriptors
+    return (np.array([k.pt for k in keypoints]) + 0.5) / image.shape[::-1], descriptors
 
 
 def _described(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Features of the picture as it is seen from near and far, straight and foreshortened to
-    one half (Morel and Yu 2009): (units (n, 2), descriptors (n, 128))."""
-    finder = cv2.AffineFeature.create(_sift(FEATURES), 1, 0, 2.0, 90.0)
-    units, descriptors = [], []
+    one half (Morel and Yu 2009), as of `_found`."""
+    plain = cv2.SIFT.create(FEATURES, contrastThreshold=_FAINT)
+    finder, found = cv2.AffineFeature.create(plain, 1, 0, 2.0, 90.0), []
     for scale in _SCALES:
         small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        at, those = _found(finder, small)
-        unit = (at + 0.5) / small.shape[::-1]
-        inside = ((unit > 0) & (unit < 1)).all(1)
-        units.append(unit[inside])
-        descriptors.append(those[inside])
-    return np.concatenate(units), np.concatenate(descriptors)
+        found.append(_found(finder, small))
+    units, descriptors = map(np.concatenate, zip(*found, strict=True))
+    inside = ((units > 0) & (units < 1)).all(1)
+    return units[inside], descriptors[inside]
 
 
 def plausible(quad: np.ndarray) -> bool:
@@ -246,11 +213,9 @@ def plausible(quad: np.ndarray) -> bool:
     """
     if not np.isfinite(quad).all() or np.abs(quad).max() > 1e5:
         return False
-    side = np.roll(quad, -1, 0) - quad
-    after = np.roll(side, -1, 0)
-    cross = side[:, 0] * after[:, 1] - side[:, 1] * after[:, 0]
-    longest = float(np.linalg.norm(side, axis=1).max())
-    return bool(longest >= LEAST_SIDE_PX and cross.min() >= LEAST_SIDE_PX / 4 * longest)
+    side, longest = np.roll(quad, -1, 0) - quad, float(sides(quad).max())
+    turns = np.linalg.det(np.stack([side, np.roll(side, -1, 0)], 1))
+    return bool(longest >= LEAST_SIDE_PX and turns.min() >= LEAST_SIDE_PX / 4 * longest)
 
 
 def homography_of(quad: np.ndarray) -> np.ndarray:
@@ -268,6 +233,13 @@ def coded_luma(linear: np.ndarray, ink: float, paper: float) -> np.ndarray:
     return (light @ np.array([0.2126, 0.7152, 0.0722]) * 255 + 0.5).astype(np.uint8)
 
 
+def _resized(luma: np.ndarray, longest_px: float) -> np.ndarray:
+    """The picture with a longer side of so many pixels."""
+    scale = longest_px / max(luma.shape)
+    size = [max(round(length * scale), 8) for length in luma.shape[::-1]]
+    return cv2.resize(luma, size, interpolation=cv2.INTER_AREA)
+
+
 def _level(image: np.ndarray) -> Level:
     even = even_contrast(image)
     inside = np.zeros_like(even)
@@ -275,9 +247,7 @@ def _level(image: np.ndarray) -> Level:
     inside[margin:-margin, margin:-margin] = 255
     apart = max(max(even.shape) / 28, 2.0)
     points = cv2.goodFeaturesToTrack(even, _POINTS, 0.02, apart, mask=inside, blockSize=5)
-    return Level(
-        even, np.zeros((0, 2), np.float32) if points is None else points.reshape(-1, 2)
-    )
+    return Level(even, np.reshape(() if points is None else points, (-1, 2)))
 
 
 def _mapped(h: np.ndarray, xy: np.ndarray) -> np.ndarray:
@@ -291,43 +261,16 @@ def _pixels(camera: Camera, ideal_from_unit: np.ndarray, unit: np.ndarray) -> np
     return camera.project(np.concatenate([ideal, np.ones_like(ideal[..., :1])], -1))
 
 
-def _cut_out(
-    luma: np.ndarray, camera: Camera, ideal_from_level: np.ndarray, size: tuple[int, int]
-) -> np.ndarray:
-    """The frame as the picture is seen: (h, w) uint8 of size (w, h)."""
-    w, h = size
-    corners = _pixels(camera, ideal_from_level, _CORNERS * [w, h] - 0.5)
-    if not plausible(corners):
-        return np.zeros((h, w), np.uint8)
-    side = float(np.linalg.norm(corners - np.roll(corners, -1, 0), axis=1).max())
-    k = max(int(side / max(size)), 1)  # the frame may be finer than the finest level
-    part = Rect.around(corners, 2.0 * k).clip(Rect.of(luma.shape[1], luma.shape[0]))
-    columns, rows = part.width // k, part.height // k
-    if min(columns, rows) < 4:
-        return np.zeros((h, w), np.uint8)
-    luma = luma[part.y0 : part.y0 + rows * k, part.x0 : part.x0 + columns * k]
-    luma = cv2.resize(luma, (columns, rows), interpolation=cv2.INTER_AREA)
-    own = camera.matrix.copy()
-    own[:2, :2] /= k
-    own[:2, 2] = (own[:2, 2] - [part.x0, part.y0] + 0.5) / k - 0.5
-    fisheye = camera.model == FISHEYE
-    maps = cv2.fisheye.initUndistortRectifyMap if fisheye else cv2.initUndistortRectifyMap
-    level_from_ideal = np.linalg.inv(ideal_from_level)
-    x, y = maps(own, camera.distortion, level_from_ideal, np.eye(3), size, cv2.CV_32FC1)
-    return cv2.remap(luma, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-
-
 class _Match(NamedTuple):
     """Corners of the picture that were followed into the frame and back.
 
-    ideal_from_level : where the frame was cut out;  level_from_unit : where the corners have
-    the print in the cut-out;  ideal_from_unit : both
-    units, moved : (n, 2) of the print, and px of the cut-out;  agree : (n,) on a homography
+    cut : ideal_from_level where the frame was cut out;  own : level_from_unit, where the
+    corners have the print in the cut-out
+    units, moved : (n, 2) of the print, and px of the cut-out;  agree : (n,) on `own`
     share : of the corners in view that agree"""
 
-    ideal_from_level: np.ndarray
-    level_from_unit: np.ndarray
-    ideal_from_unit: np.ndarray
+    cut: np.ndarray
+    own: np.ndarray
     units: np.ndarray
     moved: np.ndarray
     agree: np.ndarray
@@ -339,18 +282,32 @@ def _match(
     luma: np.ndarray,
     camera: Camera,
     ideal_from_unit: np.ndarray,
-    reach: int,
+    reach: int = _REACH,
 ) -> _Match | None:
-    """None where too few corners agree on a homography. reach : further halvings of the images"""
+    """None where too few corners agree on a homography. reach : further halvings of the images,
+    at first"""
     cut, (h, w) = ideal_from_unit @ level.unit_from_level, level.even.shape
-    seen = even_contrast(_cut_out(luma, camera, cut, (w, h)))
-    at = _pixels(camera, cut, level.points.astype(float))
-    there = (at > 2).all(1) & (at < [luma.shape[1] - 3, luma.shape[0] - 3]).all(1)
+    quad, at = (
+        _pixels(camera, ideal_from_unit, _CORNERS),
+        _pixels(camera, cut, level.points),
+    )
+    there = (at > 2).all(1) & (at < np.subtract(luma.shape[::-1], 3)).all(1)
     points = level.points[there]
     needed = max(LEAST_POINTS, SHARE * len(points))
-    if len(points) < needed:
+    if not plausible(quad) or len(points) < needed:
         return None
-    moved, away = follow(level.even, seen, points, reach)
+    # the frame as the picture is seen; it may be finer than the finest level
+    fine = max(int(sides(quad).max() / max(w, h)), 1)
+    rows, columns = (length // fine for length in luma.shape)
+    part = luma[: rows * fine, : columns * fine]
+    part = cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA)
+    fisheye = camera.model == FISHEYE
+    maps = cv2.fisheye.initUndistortRectifyMap if fisheye else cv2.initUndistortRectifyMap
+    own, lens, view = camera.matrix, camera.distortion, np.linalg.inv(cut)
+    places = maps(own, lens, view, np.eye(3), (w, h), cv2.CV_32FC1)
+    x, y = ((px + 0.5) / fine - 0.5 for px in places)
+    seen = cv2.remap(part, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    moved, away = follow(level.even, even_contrast(seen), points, reach)
     good = away < _RETURN_PX
     if good.sum() < needed:
         return None
@@ -358,51 +315,44 @@ def _match(
     found, agree = cv2.findHomography(a, b, cv2.USAC_MAGSAC, _AGREE_PX, maxIters=2000)
     if found is None or agree.sum() < needed:
         return None
-    own, units = (
-        found @ np.linalg.inv(level.unit_from_level),
-        _mapped(level.unit_from_level, a),
-    )
-    share = float(agree.sum() / len(points))
-    return _Match(cut, own, cut @ own, units, b, agree.ravel() > 0, share)
+    own = found @ np.linalg.inv(level.unit_from_level)
+    if reach:
+        return _match(level, luma, camera, cut @ own, 0)
+    units, share = _mapped(level.unit_from_level, a), float(agree.sum() / len(points))
+    return _Match(cut, own, units, b, agree.ravel() > 0, share)
 
 
-def _aligned(match: _Match, camera: Camera) -> Alignment | None:
+def _aligned(name: str, match: _Match, camera: Camera) -> Detection | None:
     """By robust least squares; None for a quad that no print can show."""
     from scipy.optimize import approx_fprime, least_squares
 
     units, moved = match.units[match.agree], match.moved[match.agree]
 
+    def changed(own: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """The print moved a little in its own plane, by eight numbers."""
+        return own @ (np.eye(3) + np.append(change, 0.0).reshape(3, 3))
+
     def missed_by(change: np.ndarray) -> np.ndarray:
-        return (
-            _mapped(match.level_from_unit @ _nearly_one(change), units) - moved
-        ).ravel()
+        return (_mapped(changed(match.own, change), units) - moved).ravel()
 
     def corners_by(change: np.ndarray) -> np.ndarray:
-        about = match.ideal_from_unit @ _nearly_one(change)
-        return _pixels(camera, about, _CORNERS).ravel()
+        return _pixels(camera, match.cut @ changed(match.own, change), _CORNERS).ravel()
 
     first = missed_by(np.zeros(8))
     if not np.isfinite(first).all():
         return None
     worn = _WORN * _deviation(first)
     fit = least_squares(missed_by, np.zeros(8), loss="arctan", f_scale=worn, ftol=1e-5)
-    new, corners = match.ideal_from_unit @ _nearly_one(fit.x), corners_by(fit.x)
-    if not plausible(corners.reshape(4, 2)):
+    corners = corners_by(fit.x).reshape(4, 2)
+    if not plausible(corners):
         return None
     slope = approx_fprime(fit.x, corners_by, _STEP) @ np.linalg.pinv(fit.jac)
     sigma = _ALIKE * _deviation(fit.fun) * float(np.sqrt((slope**2).sum() / 8))
-    off = _pixels(camera, new, match.units)
-    off -= _pixels(camera, match.ideal_from_level, match.moved)
+    off = _pixels(camera, match.cut @ changed(match.own, fit.x), match.units)
+    off -= _pixels(camera, match.cut, match.moved)
     misfit = float(np.sqrt((off**2).sum(1).mean()))
-    return Alignment(
-        divide(new, new[2, 2]), corners.reshape(4, 2), sigma, match.share, misfit
-    )
+    return Detection(name, corners, sigma, np.nan, False, misfit_px=misfit)
 
 
 def _deviation(residuals: np.ndarray) -> float:
     return max(1.4826 * float(np.median(np.abs(residuals))), _LEAST_PX)
-
-
-def _nearly_one(change: np.ndarray) -> np.ndarray:
-    """(3, 3) homography of the unit square onto nearly itself, by eight numbers."""
-    return np.eye(3) + np.append(change, 0.0).reshape(3, 3)

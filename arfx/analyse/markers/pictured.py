@@ -3,8 +3,7 @@ expected, else from where they were, or found by their features."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -29,48 +28,36 @@ class PicturedPrints:
         self._camera = camera
 
     def follow(self, frame: AnalysisFrame, last: Mapping[str, Track]) -> list[Detection]:
-        camera = self._scaled(frame)
+        camera = self._camera.scaled_to(*frame.luma.shape[::-1])
         seen = list[Detection]()
         for picture in self._pictures:
-            track = last.get(picture.name)
-            for quad in (
-                () if track is None else (track.predicted(frame.time_s), track.quad)
-            ):
-                about = homography_of(camera.normalised(quad))
-                if there := _aligned(picture, frame, camera, about):
-                    seen.append(there)
-                    break
+            if track := last.get(picture.name):
+                quads = track.predicted(frame.time_s), track.quad
+                abouts = (homography_of(camera.normalised(quad)) for quad in quads)
+                seen += _first(picture, frame, camera, abouts)
         return seen
 
     def find(
         self, frame: AnalysisFrame, missing: Sequence[str], whole: bool
     ) -> list[Detection]:
-        camera = self._scaled(frame)
+        camera = self._camera.scaled_to(*frame.luma.shape[::-1])
         features = frame_features(frame.luma, WHOLE_PX if whole else REDUCED_PX)
         seen = list[Detection]()
         for picture in self._pictures:
             about = picture.find(features, camera) if picture.name in missing else None
-            if about is not None and (there := _aligned(picture, frame, camera, about)):
-                seen.append(there)
+            if about is not None:
+                seen += _first(picture, frame, camera, [about])
         return seen
 
-    def _scaled(self, frame: AnalysisFrame) -> Camera:
-        h, w = frame.luma.shape
-        return self._camera.scaled_to(w, h)
 
-
-def _aligned(
-    picture: PatternPicture, frame: AnalysisFrame, camera: Camera, about: np.ndarray
-) -> Detection | None:
-    """about : ideal_from_unit, right to some pixels"""
-    there = picture.align(frame.luma, camera, about)
-    if there is None:
-        return None
-    return Detection(
-        picture.name,
-        there.corners_px,
-        there.sigma_px,
-        math.nan,
-        False,
-        misfit_px=there.misfit_px,
-    )
+def _first(
+    picture: PatternPicture,
+    frame: AnalysisFrame,
+    camera: Camera,
+    abouts: Iterable[np.ndarray],
+) -> list[Detection]:
+    """The print, if it is there. abouts : ideal_from_unit, the first that leads to it counts"""
+    for about in abouts:
+        if there := picture.align(frame.luma, camera, about):
+            return [there[0]]
+    return []

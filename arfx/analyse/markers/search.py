@@ -16,7 +16,6 @@ from arfx.analyse.markers.corners import (
     CODE,
     LIGHT,
     chosen_transfer,
-    linear_table,
     refine_found,
     symmetric_in_light,
 )
@@ -105,7 +104,7 @@ class MarkerSearch:
         height, width = luma.shape
         if self.frames:
             last = self.frames[-1]
-            _require_size(index, (width, height), (last.width, last.height))
+            _require_size(index, (width, height), last[2:4])
             if index != last.frame + 1 or time_s <= last.time_s:
                 raise InputError(
                     f"frame {index} at {time_s:g} s comes after frame {last.frame} at"
@@ -113,22 +112,17 @@ class MarkerSearch:
                 )
         camera = self._camera.scaled_to(width, height)
         found, pictured = self._coded.search(frame), self._pictured.search(frame)
-        every = (*found.sightings, *found.duplicates)
+        every = found.sightings + found.duplicates
         shown = _refined(index, luma, every, len(found.sightings), camera)
         shown += [Sighting(index, ANY, False, np.nan, s) for s in pictured.sightings]
         self.prints += shown
         if not self.prints:
-            self._look_for_others(index, luma, found.others)
+            self.others += [OtherPrint(index, False, key) for key in found.others]
+            scanned = ("", *sorted(scan(luma))) if index in SCANS else ()
+            self.others += [OtherPrint(index, True, key) for key in scanned]
         whole = found.whole or pictured.whole
         self.frames.append(FrameRow(index, time_s, width, height, whole, thumbnail(luma)))
         return shown
-
-    def _look_for_others(self, index: int, luma: np.ndarray, ids: Iterable[str]) -> None:
-        self.others += [OtherPrint(index, False, key) for key in ids]
-        if index in SCANS:
-            self.others += [
-                OtherPrint(index, True, key) for key in ("", *sorted(scan(luma)))
-            ]
 
 
 def detections(shown: Sequence[Sighting]) -> list[Detection]:
@@ -158,18 +152,12 @@ def _refined(
     index: int, luma: np.ndarray, found: Sequence[Candidate], first: int, camera: Camera
 ) -> list[Sighting]:
     """first : so many of them are no duplicates"""
-    prints, skews = refine_found(luma, found, linear_table(LIGHT), camera)
-    doubtful = [k for k, skew in enumerate(skews) if not symmetric_in_light(skew)]
-    again = [found[k] for k in doubtful]
-    in_code = zip(*refine_found(luma, again, linear_table(CODE), camera), strict=True)
-    out = []
-    for k, (one, skew) in enumerate(zip(prints, skews, strict=True)):
-        transfer = LIGHT if k in doubtful else ANY
-        out.append(Sighting(index, transfer, k >= first, float(skew), one))
-        if k in doubtful:
-            other, skew_in_code = next(in_code)
-            out.append(Sighting(index, CODE, k >= first, float(skew_in_code), other))
-    return out
+    in_light = refine_found(luma, found, LIGHT, camera)
+    doubtful = [k for k, (_, skew) in enumerate(in_light) if not symmetric_in_light(skew)]
+    in_code = refine_found(luma, [found[k] for k in doubtful], CODE, camera)
+    rows = [(LIGHT if k in doubtful else ANY, k, *p) for k, p in enumerate(in_light)]
+    rows += [(CODE, k, *p) for k, p in zip(doubtful, in_code, strict=True)]
+    return [Sighting(index, kind, k >= first, skew, p) for kind, k, p, skew in rows]
 
 
 def frame_size(frames: Sequence[FrameRow]) -> tuple[int, int]:
@@ -180,9 +168,9 @@ def frame_size(frames: Sequence[FrameRow]) -> tuple[int, int]:
             "the clip holds no frame",
             "is it empty, or does --start lie behind its end?",
         )
-    size = frames[0].width, frames[0].height
+    size = frames[0][2:4]
     for row in frames:
-        _require_size(row.frame, (row.width, row.height), size)
+        _require_size(row.frame, row[2:4], size)
     return size
 
 

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Generic, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -27,24 +26,7 @@ _TRUSTED_S = 0.1  # for so long a print moves on as it did
 _PAIR_S = 0.3  # longest time between two sightings that tell a speed
 
 
-class Sighting(Protocol):
-    """A print in one frame. quad_px : (4, 2), order of MarkerSpec.corners_m"""
-
-    @property
-    def key(self) -> str: ...
-
-    @property
-    def quad_px(self) -> np.ndarray: ...
-
-    @property
-    def side_px(self) -> float: ...
-
-
-S = TypeVar("S", bound=Sighting)
-
-
-@dataclass(frozen=True)
-class Track:
+class Track(NamedTuple):
     """Where a print was last: quad (4, 2), its corners px; their speed per second; when;
     and for how many frames it has been missing."""
 
@@ -57,12 +39,8 @@ class Track:
         """Its corners at a time; speed is trusted for a tenth of a second only."""
         return self.quad + self.speed * min(max(time_s - self.time_s, 0.0), _TRUSTED_S)
 
-    @property
-    def sides(self) -> np.ndarray:
-        return np.linalg.norm(self.quad - self.quad[[1, 2, 3, 0]], axis=1)
 
-
-class Prints(Protocol[S]):
+class Prints(Protocol):
     """The prints of one kind that are looked for.
 
     keys : the configured ones;  quick : a whole frame is searched in a few milliseconds, so
@@ -72,15 +50,16 @@ class Prints(Protocol[S]):
     keys: Sequence[str]
     quick: bool
 
-    def follow(self, frame: AnalysisFrame, last: Mapping[str, Track]) -> list[S]:
-        """Sightings of prints near where they were. last : by key"""
+    def follow(self, frame: AnalysisFrame, last: Mapping[str, Track]) -> list[Any]:
+        """Candidates or Detections of prints near where they were. last : by key"""
 
-    def find(self, frame: AnalysisFrame, missing: Sequence[str], whole: bool) -> list[S]:
+    def find(
+        self, frame: AnalysisFrame, missing: Sequence[str], whole: bool
+    ) -> list[Any]:
         """Sightings anywhere. missing : what is looked for;  whole : at full resolution"""
 
 
-@dataclass(frozen=True)
-class Found(Generic[S]):
+class Found(NamedTuple):
     """What one frame gave.
 
     sightings : the chosen one per configured key;  duplicates : further ones with the same key
@@ -88,22 +67,22 @@ class Found(Generic[S]):
     resolution
     """
 
-    sightings: tuple[S, ...]
-    duplicates: tuple[S, ...]
-    others: tuple[str, ...]
+    sightings: list[Any]
+    duplicates: list[Any]
+    others: list[str]
     whole: bool
 
 
-class Tracker(Generic[S]):
+class Tracker:
     """Fed the frames of a stretch in order. tracks : by key"""
 
-    def __init__(self, prints: Prints[S]) -> None:
+    def __init__(self, prints: Prints) -> None:
         self.prints = prints
         self.tracks: dict[str, Track] = {}
         self._frames = 0
         self._last_whole_s = -math.inf
 
-    def search(self, frame: AnalysisFrame) -> Found[S]:
+    def search(self, frame: AnalysisFrame) -> Found:
         """What the next frame shows."""
         quick, keys = self.prints.quick, self.prints.keys
         seen = self.prints.follow(frame, self.tracks)
@@ -125,40 +104,38 @@ class Tracker(Generic[S]):
         self._frames += 1
         return self._chosen(frame.time_s, seen, whole)
 
-    def _chosen(self, time_s: float, seen: Sequence[S], whole: bool) -> Found[S]:
-        chosen, duplicates = list[S](), list[S]()
+    def _chosen(self, time_s: float, seen: Sequence[Any], whole: bool) -> Found:
+        chosen, duplicates = list[Any](), list[Any]()
         for key in self.prints.keys:
-            prints = list[S]()
+            prints = list[Any]()
             # one sighting per place: two within half a side of each other are one print
             for s in seen:
-                if s.key == key and all(_apart(s, o) > 0.5 * o.side_px for o in prints):
+                if s.key == key and all(
+                    _apart(s, o.quad_px) > 0.5 * o.side_px for o in prints
+                ):
                     prints.append(s)
-            if track := self.tracks.get(key):
-                expected = track.predicted(time_s).mean(0)
-                prints.sort(
-                    key=lambda s: float(np.linalg.norm(s.quad_px.mean(0) - expected))
-                )
+            track, speed = self.tracks.get(key), np.zeros((4, 2))
+            if track:
+                expected = track.predicted(time_s)
+                prints.sort(key=lambda s: _apart(s, expected))
             else:
                 prints.sort(key=lambda s: -s.side_px)
             chosen += prints[:1]
             duplicates += prints[1:]
-            self._keep_track(key, time_s, prints[0].quad_px if prints else None)
-        others = tuple(sorted({s.key for s in seen} - set(self.prints.keys)))
-        return Found(tuple(chosen), tuple(duplicates), others, whole)
-
-    def _keep_track(self, key: str, time_s: float, quad: np.ndarray | None) -> None:
-        """quad : where the print is now, None = not there"""
-        track = self.tracks.get(key)
-        if quad is not None:
-            speed = np.zeros((4, 2))
-            if track is not None and 0 < time_s - track.time_s < _PAIR_S:
-                speed = (quad - track.quad) / max(time_s - track.time_s, 1e-3)
-            self.tracks[key] = Track(quad, speed, time_s)
-        elif track is not None and time_s - track.time_s > SEARCH_INTERVAL_S:
-            del self.tracks[key]
-        elif track is not None:
-            self.tracks[key] = replace(track, missing=track.missing + 1)
+            since_s = time_s - track.time_s if track else 0.0
+            if prints:
+                quad = prints[0].quad_px
+                if track and 0 < since_s < _PAIR_S:
+                    speed = (quad - track.quad) / max(since_s, 1e-3)
+                self.tracks[key] = Track(quad, speed, time_s)
+            elif since_s > SEARCH_INTERVAL_S:
+                del self.tracks[key]
+            elif track:
+                self.tracks[key] = track._replace(missing=track.missing + 1)
+        others = sorted({s.key for s in seen} - set(self.prints.keys))
+        return Found(chosen, duplicates, others, whole)
 
 
-def _apart(a: Sighting, b: Sighting) -> float:
-    return float(np.linalg.norm(a.quad_px.mean(0) - b.quad_px.mean(0)))
+def _apart(seen: Any, quad: np.ndarray) -> float:
+    """From the middle of a print that was seen to that of a quad (4, 2), px."""
+    return math.dist(seen.quad_px.mean(0), quad.mean(0))

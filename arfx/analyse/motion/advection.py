@@ -8,6 +8,7 @@ Source: docs/methods/watercolor.md#advection. Cost: O(nodes) per epoch."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -48,10 +49,10 @@ def with_advection(
     by_index = {s.index: s for s in steps}
     nodes = node_positions(camera.width, camera.height)
     rays = camera.directions(nodes) if reach_m > 0 else None
-    number, key, then = 0, nodes, None
-    detail, last_back = np.zeros((*nodes.shape[:2], 1)), np.zeros(nodes.shape)
-    unknown = MotionStep(-1, None, True, detail[..., 0].astype(np.uint8))
-    shot, out = None, []
+    number, key, then, shot, out = 0, nodes, None, None, []
+    last_back: Any = 0.0
+    detail = np.zeros((*nodes.shape[:2], 1))
+    unknown = MotionStep(-1, None, True, detail[..., 0])
     for f in facts:
         step = by_index.get(f.index, unknown)
         begins = f.shot != shot
@@ -59,7 +60,7 @@ def with_advection(
             number += shot is not None
             pose = f.camera_from_world
             now = None if pose is None else pose @ world_from_anchor
-            back = None if begins or step.back is None else step.back.astype(float)
+            back = None if begins else step.back
             seen = step.detail[..., None].astype(float)
             if back is None:
                 field = nodes + np.array([_NEW_SHOT_PX * number, 0.0])
@@ -70,10 +71,9 @@ def with_advection(
                 # carried along with the things, a little of what is seen now each time
                 carried = _sampled(detail, nodes + back - last_back, nodes)
                 seen = _NEW_DETAIL * seen + (1 - _NEW_DETAIL) * np.clip(carried, 0, 255)
-            detail = seen
-            last_back = np.zeros(nodes.shape) if back is None else back
+            detail, last_back = seen, back
             if back is None or step.key:
-                last_back, key, then = np.zeros(nodes.shape), field, now
+                last_back, key, then = 0.0, field, now
                 if step.back is not None and not step.key:
                     # a cut that the flow did not notice: the key frame's nodes lie where
                     # this frame's flow says

@@ -114,14 +114,11 @@ class BackgroundMotion:
         h, w = luma.shape
         factor = max(w / WIDTH_PX, 1.0)
         small_size = (max(round(w / factor), 1), max(round(h / factor), 1))
-        small = np.ascontiguousarray(
-            cv2.resize(luma, small_size, interpolation=cv2.INTER_AREA)
-        )
-        key = self.key_pictures[-1].picture if self.key_pictures else None
-        found = None if key is None else _back(small, key, w, h)
-        back, far = None, True
-        if found is not None:
-            back, agreed = found
+        small = cv2.resize(luma, small_size, interpolation=cv2.INTER_AREA)
+        back, agreed, far = None, 0.0, True
+        if self.key_pictures:
+            back, agreed = _back(small, self.key_pictures[-1].picture, w, h)
+        if back is not None:
             inside = (slice(BORDER, -BORDER),) * 2
             moved = np.linalg.norm((back - self._last)[inside], axis=-1)
             if float(np.quantile(moved, 0.9)) <= HOLD_PX:
@@ -143,25 +140,24 @@ def joined_steps(
     before, backs = None, {}
     for picture in pictures:
         if picture.begins and before is not None:
-            found = _back(picture.picture, before, picture.width, picture.height)
-            backs[picture.frame] = None if found is None else found[0]
+            found = _back(picture.picture, before, *picture[2:4])
+            backs[picture.frame] = found[0]
         before = picture.picture
     return [replace(s, back=backs.get(s.index, s.back)) for s in steps]
 
 
 def _back(
     small: np.ndarray, reference: np.ndarray, width: int, height: int
-) -> tuple[np.ndarray, float] | None:
-    """((gh, gw, 2) px of the frame at the nodes, share of the textured places where both
-    directions agree), or None where the two frames have nothing in common."""
+) -> tuple[np.ndarray | None, float]:
+    """((gh, gw, 2) px of the frame at the nodes, None where the two frames have nothing in
+    common; share of the textured places where both directions agree)"""
     h, w = small.shape
     if min(h, w) < 16 or np.array_equal(small, reference):  # DIS needs a patch or two
         return np.zeros(node_positions(width, height).shape, np.float32), 1.0
     dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_FAST)  # type: ignore[attr-defined]
     dis.setFinestScale(0)
-    dis.setVariationalRefinementIterations(
-        0
-    )  # it takes a third of the time; `refined` does more
+    # refinement takes a third of the time; `refined` does more
+    dis.setVariationalRefinementIterations(0)
     back = dis.calc(small, reference, None)
     there = dis.calc(reference, small, None)
     x, y = np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32))
@@ -172,12 +168,12 @@ def _back(
     )
     apart = np.linalg.norm(back + again, axis=-1)
     agree = apart < _AGREE_PX + _AGREE_FRACTION * np.linalg.norm(back, axis=-1)
-    agree &= np.abs(before.astype(np.float32) - small) < 40
+    agree &= cv2.absdiff(before, small) < 40
     slope = _slope(small)
     textured = slope > _GRADIENT
     agreed = float(agree[textured].mean()) if textured.sum() > 50 else 1.0
     if agreed < _LOST:
-        return None
+        return None, agreed
     # of what has come into view since, the flow can only guess
     agree &= (to_x > 1) & (to_y > 1) & (to_x < w - 2) & (to_y < h - 2)
     trust = np.where(agree, slope**2 / (slope**2 + _GRADIENT**2), 0).astype(np.float32)

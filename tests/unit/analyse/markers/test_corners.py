@@ -261,7 +261,7 @@ def test_edge_domain_is_found_from_the_edges(linear: bool, expected: str) -> Non
         )
         found = [c for c in detector.search(image) if c.key == m.key]
         for some, transfer in zip(skews, (LIGHT, CODE), strict=True):
-            some += refine_found(image, found, linear_table(transfer), CAM)[1].tolist()
+            some += [skew for _, skew in refine_found(image, found, transfer, CAM)]
     assert chosen_transfer(*skews) == expected
     few = skews[0][: SIGHTINGS - 1], skews[1]
     assert chosen_transfer(*few) == LIGHT, "too few to tell by"
@@ -272,7 +272,7 @@ def test_edges_too_poor_to_tell_are_taken_for_light() -> None:
         "36h11", 1, np.array([[100.0, 60], [160, 60], [160, 120], [100, 120]])
     )
     flat = np.full((240, 320), 90, np.uint8)
-    _, skew = refine_found(flat, [poor], TABLE, CAM)
-    assert np.isnan(skew).all()
-    assert symmetric_in_light(float(skew[0]))
-    assert chosen_transfer(skew.tolist() * (2 * SIGHTINGS), [0.5]) == LIGHT
+    ((_, skew),) = refine_found(flat, [poor], LIGHT, CAM)
+    assert np.isnan(skew)
+    assert symmetric_in_light(skew)
+    assert chosen_transfer([skew] * (2 * SIGHTINGS), [0.5]) == LIGHT

@@ -157,7 +157,7 @@ def test_what_corners_are_misplaced_by_is_not_averaged_away() -> None:
         )
         for k in {*range(first, last)} - {30, 31}:
             rec[k] = replace(
-                rec[k], detections=(replace(rec[k].detections[0], misplaced_px=0.4),)
+                rec[k], detections=(rec[k].detections[0]._replace(misplaced_px=0.4),)
             )
         facts = solve_poses(rec, [A], CAM, PARAMS, None, []).facts
         return np.array(
