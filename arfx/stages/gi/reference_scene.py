@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from arfx.core.cube import look_up
 from arfx.core.numerics import divide, normalise
 from arfx.core.scene import Scene
 from arfx.stages.gi.incoming import IncomingLight
@@ -114,7 +113,6 @@ class Surroundings:
         self.axes = planes.axes.astype(float)
         self._bounds = planes.bounds.astype(float)
         self._bounds[np.abs(self._bounds) >= ENDLESS] *= np.inf
-        self._irradiance = environment.irradiance(incoming.mean, environment.turn[:, 2])
 
     def first_plane(
         self, origins: np.ndarray, directions: np.ndarray
@@ -146,7 +144,18 @@ class Surroundings:
             out[rows] = np.where(known[..., None] > 0, radiance, around)[0]
         return out
 
-    def unoccluded(self, normals: np.ndarray) -> np.ndarray:
-        """(n, 3) what a white surface gets from all around with nothing in the way: the end of a
-        path."""
-        return look_up(self._irradiance, normals @ self.environment.turn.T)
+    def radiance(
+        self,
+        starts: np.ndarray,
+        directions: np.ndarray,
+        wide: np.ndarray,
+        plane: np.ndarray,
+        distance: np.ndarray,
+    ) -> np.ndarray:
+        """(n, 3) that is there without the object. wide (n, 3) : as `Environment.radiance` takes
+        it;  plane, distance : of `first_plane`"""
+        out = self.environment.radiance(directions, wide)
+        met = np.flatnonzero(plane >= 0)
+        places = starts[met] + distance[met, None] * directions[met]
+        out[met] = self.picture(places, plane[met])
+        return out

@@ -23,7 +23,6 @@ import numpy as np
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, packed
-from arfx.core.light import Light
 from arfx.core.memo import memo_of
 from arfx.core.numerics import divide, normalise
 from arfx.core.pixels import Pixels
@@ -159,7 +158,7 @@ class Gi(Stage):
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         model = facts.raster_box.clip(frame)
         disc, why = self._disc(facts, scene, frame)
-        mirror = self._mirror_rect(facts, scene, frame)
+        mirror = self._mirror_rect(facts, scene)
         if model.empty and disc.empty and mirror.empty:
             return Demand(EMPTY, f"model out of view; {why}")
         if not mirror.empty:
@@ -178,9 +177,8 @@ class Gi(Stage):
         if facts.light is None:
             return {"new_lights": None}
         known = in_steps(facts, facts.light)
-        return {
-            "new_lights": (repr(known.light), known.seen_environment, known.environment)
-        }
+        around = known.seen_environment, known.environment
+        return {"new_lights": (repr(known.light), *around)}
 
     def health(self, job: JobView) -> Iterable[Check]:
         return chain(seams(job), furnace(job))
@@ -205,11 +203,8 @@ class Gi(Stage):
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
         facts, scene, frame = view.facts, view.scene, view.scene.camera.rect
-        disc, mirror = (
-            self._disc(facts, scene, frame)[0],
-            self._mirror_rect(facts, scene, frame),
-        )
-        seen = _reflected_rect(facts, scene)
+        disc, _ = self._disc(facts, scene, frame)
+        mirror, seen = self._mirror_rect(facts, scene), _reflected_rect(facts, scene)
         if view.level == "reference":
             gloss = self.params.plane_gloss, PLANE_ROUGHNESS
             options = self.params.samples, self.params.strength, gloss, mirror
@@ -232,10 +227,10 @@ class Gi(Stage):
             LEVELS[view.level].shows * float(divide(soft, brightest)),
         )
         virtual = self._virtual(view, prepared, incoming, lit, sight)
-        if not disc.empty:
-            radius_m = lit.radius_m
-            shown = disc_rect(scene, incoming.planes, radius_m, view.pose, frame)
-            disc = shown if radius_m > 0 else EMPTY
+        if not disc.empty and lit.radius_m > 0:
+            disc = disc_rect(scene, incoming.planes, lit.radius_m, view.pose, frame)
+        else:
+            disc = EMPTY
         shadow = self._shadow(view, prepared, lit, sight, disc, mirror)
         return {Layer.VIRTUAL: virtual, Layer.SHADOW: shadow}
 
@@ -361,34 +356,29 @@ class Gi(Stage):
             change = weight[:, None] * (sent - behind) / np.maximum(light[at], DARKEST)
             shadow[at] = np.clip(shadow[at] + change, 0, None)
 
-    def _mirror_rect(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Rect:
+    def _mirror_rect(self, facts: FrameFacts, scene: Scene) -> Rect:
         """Pixels in which glossy planes can mirror the object."""
         if self.params.plane_gloss <= 0 or self.params.strength <= 0:
             return EMPTY
-        tangent = float(mirror_tangent(PLANE_ROUGHNESS))
+        tangent, frame = float(mirror_tangent(PLANE_ROUGHNESS)), scene.camera.rect
         return mirror_rect(scene, planes_of(scene), tangent, facts.pose, frame)
 
     def _disc(self, facts: FrameFacts, scene: Scene, frame: Rect) -> tuple[Rect, str]:
         """Pixels of the real planes that may change, and why those or none."""
         if self.params.strength <= 0:
             return EMPTY, "planes left alone"
-        radius = self._radius_m(scene.light_of(facts), scene)
-        if radius <= 0:
-            return EMPTY, "no indirect light on the plane"
-        rect = disc_rect(scene, planes_of(scene), radius, facts.pose, frame)
-        if rect.empty:
-            return rect, "plane out of view or seen from behind"
-        return rect, f"plane changes by half a grey level within {100 * radius:.0f} cm"
-
-    def _radius_m(self, light: Light, scene: Scene) -> float:
-        """Of the disc on the planes; 0 where there is no indirect light at all."""
+        light, planes = scene.light_of(facts), planes_of(scene)
         up = scene.world_from_anchor.rotation[:, 2]
         soft, total = light.soft_radiance(up).max(), light.radiance(up).max()
         glow = max(max(p.material.emissive) for p in scene.model.parts)
         peak = float(soft) + sum(max(li.rgb) for li in light.lights) + glow
         if peak <= 0:
-            return 0.0
-        return disc_radius_m(scene, planes_of(scene), peak / max(float(total), 1e-3))
+            return EMPTY, "no indirect light on the plane"
+        radius = disc_radius_m(scene, planes, peak / max(float(total), 1e-3))
+        rect = disc_rect(scene, planes, radius, facts.pose, frame)
+        if rect.empty:
+            return rect, "plane out of view or seen from behind"
+        return rect, f"plane changes by half a grey level within {100 * radius:.0f} cm"
 
 
 def _reflected_rect(facts: FrameFacts, scene: Scene) -> Rect:
