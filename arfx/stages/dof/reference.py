@@ -68,10 +68,8 @@ def render(
         real if params.scope == "all" and endless else None,
     )
     fraction, colour = view.seen()
-    opacity = float(facts.opacity)
-    return (blurred + opacity * (colour - blurred * fraction[..., None])).astype(
-        np.float32
-    )
+    image = blurred + float(facts.opacity) * (colour - blurred * fraction)
+    return image.astype(np.float32)
 
 
 def _directions(camera: Camera, rect: Rect) -> np.ndarray:

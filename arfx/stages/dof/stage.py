@@ -124,7 +124,7 @@ class Dof(Stage):
         if level == "reference":
             from arfx.stages.dof.lens_rays import RayScene
 
-            return RayScene.of(scene)
+            return RayScene(scene)
         return direction_grid(scene.camera)
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:

@@ -223,7 +223,7 @@ class Pixels:
             d = lobes.directions(numbers[:, 0, LOBE])
             wide, ends = np.ones_like(start), around.first_plane(start, d)
             sky = around.environment.radiance(d, wide)
-            return around.radiance(start, d, wide, *ends) - sky
+            return around.radiance(start, d, *ends, wide) - sky
 
         return self._mean(draw, rows)
 

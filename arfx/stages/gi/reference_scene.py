@@ -148,13 +148,14 @@ class Surroundings:
         self,
         starts: np.ndarray,
         directions: np.ndarray,
-        wide: np.ndarray,
         plane: np.ndarray,
         distance: np.ndarray,
+        wide: np.ndarray,
+        sky: np.ndarray | float = 1.0,
     ) -> np.ndarray:
-        """(n, 3) that is there without the object. wide (n, 3) : as `Environment.radiance` takes
-        it;  plane, distance : of `first_plane`"""
-        out = self.environment.radiance(directions, wide)
+        """(n, 3) that is there without the object. plane, distance : of `first_plane`;  wide (n, 3)
+        : as `Environment.radiance` takes it;  sky (n, 1) : share of its light that counts"""
+        out = self.environment.radiance(directions, wide) * sky
         met = np.flatnonzero(plane >= 0)
         places = starts[met] + distance[met, None] * directions[met]
         out[met] = self.picture(places, plane[met])

@@ -60,8 +60,9 @@ class Environment:
         chance = self._chance[(face * n + row) * n + column]
         return np.asarray((chance * per_texel)[:, None])
 
-    def samples(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """(m, 3) unit directions, more where it is brighter, from numbers (m,) in [0, 1)."""
+    def samples(self, numbers: np.ndarray) -> np.ndarray:
+        """(m, 3) unit directions, more where it is brighter, from numbers (m, 2) in [0, 1)."""
+        first, second = numbers.T
         n = self._size
         x = first * self._up_to[-1]
         texel = np.searchsorted(self._up_to, x, side="right")

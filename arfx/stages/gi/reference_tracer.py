@@ -4,8 +4,8 @@ A path is one ray after another. Where it meets the object it takes the lamps' l
 a random lobe of the material; after BOUNCES places it takes the light of all around as if the
 object were not in its way. Where it meets a plane it takes the picture, less the lamps' light that
 the object hides there, and goes on with what the object changes of the plane's soft light: such a
-ray counts for what the object sends less what it hides. Where the environment has bright parts, a
-share of the directions is drawn from it.
+ray counts for what the object sends less what it hides. Bright parts of the environment are sampled
+as well.
 Source: Pharr, Jakob, Humphreys, Physically Based Rendering (estimators). Leaves out: lamps mirrored
 on the way (caustics); samples of what glows: small things that glow are met by chance."""
 
@@ -34,14 +34,14 @@ LOBE = slice(0, 3)
 LAMP = slice(3, 5)
 SKY = slice(5, 7)
 NUMBERS = 7
-SKY_SHARE = 0.5  # of the directions, if the environment has bright parts
 
 
 class Rays(NamedTuple):
     """Rays (n) under way. pixel (n,) : row of what they are drawn for, each once;  start (n, 3)
     weight (n, 3) : by which what they bring counts;  change (n, 1) bool : whether only what the
     object changes counts
-    direction (n, 3);  wide (n, 3) : as `Environment.radiance` takes it"""
+    direction (n, 3);  wide (n, 3) : as `Environment.radiance` takes it
+    sky (n, 1) : share of the environment's light that they bring, the rest is sampled"""
 
     pixel: np.ndarray
     start: np.ndarray
@@ -49,6 +49,7 @@ class Rays(NamedTuple):
     change: np.ndarray
     direction: np.ndarray
     wide: np.ndarray
+    sky: np.ndarray
 
     def of(self, rows: np.ndarray) -> Rays:
         return Rays(*(values[rows] for values in self))
@@ -90,13 +91,12 @@ class Tracer:
         count = len(start)
         out, weight = np.zeros((count, 3)), np.ones((count, 3))
         whole = np.arange(count), start, weight, np.full((count, 1), change)
-        rays = self._scattered(*whole, lobes, numbers[:, 0])
+        rays = self._scattered(*whole, lobes, numbers[:, 0], out)
         for bounce in range(1, BOUNCES + 1):
             rays = self._met(rays, numbers[rays.pixel, bounce], out)
         rays = rays.of(np.flatnonzero(~rays.change))
         ends = self.around.first_plane(rays.start, rays.direction)
-        behind = self.around.radiance(rays.start, rays.direction, rays.wide, *ends)
-        out[rays.pixel] += rays.weight * behind
+        out[rays.pixel] += rays.weight * self._behind(rays, *ends)
         return out
 
     def _met(self, rays: Rays, drawn: np.ndarray, out: np.ndarray) -> Rays:
@@ -106,8 +106,8 @@ class Tracer:
         plane, plane_m = self.around.first_plane(rays.start, rays.direction)
         on_object = met.distance < plane_m
         rows = np.flatnonzero(on_object == rays.change[:, 0])  # hidden, or seen
-        some, ends = rays.of(rows), (plane[rows], plane_m[rows])
-        behind = self.around.radiance(some.start, some.direction, some.wide, *ends)
+        some = rays.of(rows)
+        behind = self._behind(some, plane[rows], plane_m[rows])
         out[some.pixel] += np.where(some.change, -1, 1) * some.weight * behind
         rows = np.flatnonzero(on_object)
         of_object = self._from_object(rays.of(rows), met.of(rows), drawn[rows], out)
@@ -116,10 +116,15 @@ class Tracer:
         going_on = of_object, self._from_plane(*on_plane, out)
         return Rays(*map(np.concatenate, zip(*going_on, strict=True)))
 
+    def _behind(self, rays: Rays, plane: np.ndarray, plane_m: np.ndarray) -> np.ndarray:
+        """(n, 3) radiance that is there without the object, but for what is sampled."""
+        ends = rays.start, rays.direction, plane, plane_m
+        return self.around.radiance(*ends, rays.wide, rays.sky)
+
     def _from_object(
         self, rays: Rays, met: Met, drawn: np.ndarray, out: np.ndarray
     ) -> Rays:
-        pixel, start, weight, change, direction, _ = rays
+        pixel, start, weight, change, direction, *_ = rays
         surface = self.rays.surface(met, start, direction)
         away = dot(surface.normal, direction) > 0
         normal = np.where(away, -surface.normal, surface.normal)
@@ -128,7 +133,7 @@ class Tracer:
         out[pixel] += weight * (surface.emission + surface.diffuse * lamps)
         lobes = MaterialLobes(normal, -direction, *surface.material)
         whole = pixel, start, weight, np.zeros_like(change)
-        return self._scattered(*whole, lobes, drawn)
+        return self._scattered(*whole, lobes, drawn, out)
 
     def _from_plane(
         self,
@@ -138,7 +143,7 @@ class Tracer:
         drawn: np.ndarray,
         out: np.ndarray,
     ) -> Rays:
-        pixel, start, weight, change, direction, _ = rays
+        pixel, start, weight, change, direction, *_ = rays
         positions = start + distance[:, None] * direction
         normal = self.around.axes[plane, 3]
         start = positions + self.rays.lift * normal
@@ -147,7 +152,7 @@ class Tracer:
         weight = weight * divide(picture, self.plane_light[plane])
         out[pixel] -= weight * hidden
         whole = pixel, start, weight, np.ones_like(change)
-        return self._scattered(*whole, self.plane_lobes(start, normal), drawn)
+        return self._scattered(*whole, self.plane_lobes(start, normal), drawn, out)
 
     def _scattered(
         self,
@@ -157,17 +162,25 @@ class Tracer:
         change: np.ndarray,
         lobes: Lobes,
         drawn: np.ndarray,
+        out: np.ndarray,
     ) -> Rays:
-        """Rays by the surfaces' lobes, some of them towards bright parts of the environment."""
-        direction, sky = lobes.directions(drawn[:, LOBE]), self.around.environment
-        share = SKY_SHARE * sky.bright
-        chance, across = drawn[:, SKY].T
-        up = np.flatnonzero(chance < share)
-        direction[up] = sky.samples(chance[up] / SKY_SHARE, across[up])
+        """Rays by the surfaces' lobes. out += light of the environment's bright parts, by samples
+        of their own."""
+        sky = self.around.environment
+        if sky.bright:
+            direction = sky.samples(drawn[:, SKY])
+            total, density, wide = lobes.at(direction)
+            plane, _ = self.around.first_plane(start, direction)
+            hidden = self.rays.blocked(start, direction)
+            counts = (plane < 0) & (hidden == change[:, 0])
+            light = sky.radiance(direction, wide) * counts[:, None]
+            light *= divide(total, density + sky.density(direction))
+            out[pixel] += np.where(change, -1, 1) * weight * light
+        direction = lobes.directions(drawn[:, LOBE])
         total, density, wide = lobes.at(direction)
-        density = (1 - share) * density + share * sky.density(direction)
         weight = weight * divide(total, density)
-        rays = Rays(pixel, start, weight, change, direction, wide)
+        share = divide(density, density + sky.density(direction))
+        rays = Rays(pixel, start, weight, change, direction, wide, share)
         return rays.of(np.flatnonzero(weight.any(1)))
 
     def _lamp_light(
