@@ -57,27 +57,13 @@ def from_frame(frame: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return np.einsum("kij,ki->kj", frame, vectors)
 
 
-def disc(numbers: np.ndarray) -> np.ndarray:
-    """(k, 2) even over the unit disc, from numbers (k, 2)."""
-    u, v = numbers.T
-    r = np.sqrt(u)
-    phi = 2 * np.pi * v
-    return np.stack([r * np.cos(phi), r * np.sin(phi)], -1)
-
-
 def on_ball(height: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """(k, 3) unit vectors by their height over the middle (k, 1), and part of a turn (k, 1)."""
+    """(k, 3) unit vectors by their height over the middle (k, 1), and part of a turn (k, 1).
+
+    Of a height sqrt(1 - u), u even: directions as dense as the cosine (Malley)."""
     side = np.sqrt(np.maximum(1 - height**2, 0))
     phi = 2 * np.pi * turn
     return np.column_stack([side * np.cos(phi), side * np.sin(phi), height])
-
-
-def raised(places: np.ndarray) -> np.ndarray:
-    """(k, 3) places (k, 2) of the unit disc, on the half ball over it: cosine-weighted directions
-    (Malley)."""
-    height2 = 1 - (places**2).sum(1)
-    z = np.sqrt(np.maximum(height2, 0))
-    return np.column_stack([places, z])
 
 
 def schlick(f0: np.ndarray, cosine: np.ndarray) -> np.ndarray:
@@ -141,7 +127,7 @@ class MaterialLobes:
         choice, u, v = numbers.T[:, :, None]
         h = self._visible_normals(u, v)
         mirrored = 2 * dot(self._view, h) * h - self._view
-        scattered = raised(disc(numbers[:, 1:]))
+        scattered = on_ball(np.sqrt(1 - u), v)
         local = np.where(choice < self._chance, mirrored, scattered)
         return from_frame(self._frame, local)
 
@@ -214,7 +200,7 @@ class PlaneLobes:
     def directions(self, numbers: np.ndarray) -> np.ndarray:
         choice, u, v = numbers.T[:, :, None]
         in_cone = from_frame(self._cone, on_ball(1 - u * (1 - self._least), v))
-        about_normal = from_frame(self._frame, raised(disc(numbers[:, 1:])))
+        about_normal = from_frame(self._frame, on_ball(np.sqrt(1 - u), v))
         return np.where(choice < self._chance, in_cone, about_normal)
 
     def at(self, directions: np.ndarray) -> Reflected:

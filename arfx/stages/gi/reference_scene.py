@@ -35,21 +35,17 @@ class Met(NamedTuple):
 
 
 class Surface(NamedTuple):
-    """Places on the model. position, normal, albedo, emission (n, 3)
-    metal, f0, roughness (n, 1) : f0 of what is no metal"""
+    """Places on the model. position, normal, emission, albedo (n, 3)
+    metal, f0, roughness (n, 1) : f0 of what is no metal;  from albedo on as `MaterialLobes` takes
+    them"""
 
     position: np.ndarray
     normal: np.ndarray
-    albedo: np.ndarray
     emission: np.ndarray
+    albedo: np.ndarray
     metal: np.ndarray
     f0: np.ndarray
     roughness: np.ndarray
-
-    @property
-    def material(self) -> tuple[np.ndarray, ...]:
-        """As `MaterialLobes` takes it."""
-        return self.albedo, self.metal, self.f0, self.roughness
 
     @property
     def diffuse(self) -> np.ndarray:
@@ -99,9 +95,8 @@ class RayScene:
         shiny = texels_of(mesh, "metallic_roughness_texture", part, uv)[:, 1:3] / 255
         roughness, metal = np.hsplit(shine * shiny, 2)
         f0 = 0.08 * specular * (1 - metal)
-        return Surface(
-            position, normalise(normal), albedo, emission, metal, f0, roughness
-        )
+        shown = position, normalise(normal), emission, albedo
+        return Surface(*shown, metal, f0, roughness)
 
 
 class Surroundings:

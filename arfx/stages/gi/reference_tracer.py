@@ -22,9 +22,9 @@ from arfx.stages.gi.reference_lobes import (
     Lobes,
     MaterialLobes,
     PlaneLobes,
-    disc,
     dot,
     frames,
+    on_ball,
 )
 from arfx.stages.gi.reference_scene import Met, RayScene, Surroundings
 
@@ -131,7 +131,7 @@ class Tracer:
         start = surface.position + self.rays.lift * normal
         lamps, _ = self._lamp_light(start, normal, drawn[:, LAMP])
         out[pixel] += weight * (surface.emission + surface.diffuse * lamps)
-        lobes = MaterialLobes(normal, -direction, *surface.material)
+        lobes = MaterialLobes(normal, -direction, *surface[3:])
         whole = pixel, start, weight, np.zeros_like(change)
         return self._scattered(*whole, lobes, drawn, out)
 
@@ -192,7 +192,8 @@ class Tracer:
         """(light of white surfaces (n, 3), what the object hides of it (n, 3)), by one ray to each
         lamp's disc."""
         received, hidden = np.zeros((2, len(start), 3))
-        on_disc = disc(numbers)
+        u, v = numbers.T[:, :, None]
+        on_disc = on_ball(np.sqrt(1 - u), v)[:, :2]
         for lamp, towards in self._lamps:
             across = frames(towards[None])[0, :2]
             size = np.tan(np.radians(lamp.angular_size_deg / 2))

@@ -61,7 +61,7 @@ from arfx.stages.light.planes import (
     texel_positions,
 )
 from arfx.stages.light.region import shadow_region
-from arfx.stages.light.transport import Indirect, Transport, TransportLevel
+from arfx.stages.light.transport import Transport, TransportLevel
 from arfx.stages.lightmap.shading import Surface
 from arfx.stages.viewing import direction_grid, viewing
 
@@ -129,11 +129,11 @@ class Prepared:
 class LitScene:
     """What is kept while the light stays within a step.
 
-    changes : of `change_textures`;  radius_m : within which they show
+    left : of `Indirect`;  changes : of `change_textures`;  radius_m : within which they show
     received, sent (z, y, x, 3) : nodes of what falls on the object, and of what it sends
     mean (3,), sky (6 SKY^2, 3) : radiance of planes and sky, for which they are"""
 
-    indirect: Indirect
+    left: np.ndarray
     changes: list[list[PlaneTexture]]
     radius_m: float
     received: np.ndarray
@@ -221,7 +221,7 @@ class Gi(Stage):
         sight = Sight(
             anchor,
             anchor.apply(view.pose.inverse().translation_m),
-            incoming.background(lit.indirect.left),
+            incoming.background(lit.left),
             prepared.transport,
             lit.sent,
             LEVELS[view.level].shows * float(divide(soft, brightest)),
@@ -242,9 +242,8 @@ class Gi(Stage):
         light = scene.light_of(known)
         up = scene.world_from_anchor.rotation[:, 2]
         exact, stepped = (a.soft_radiance(up) for a in (view.light, light))
-        times = np.clip(
-            divide(exact, stepped, where_zero=1.0), 1 / _STEPS_MOST, _STEPS_MOST
-        )
+        times = divide(exact, stepped, where_zero=1.0)
+        times = np.clip(times, 1 / _STEPS_MOST, _STEPS_MOST)
         mean = mean_in_steps(divide(incoming.mean, times))
         around = known.seen_environment, known.environment
         key = repr(light), *around, mean.tobytes()
@@ -252,14 +251,14 @@ class Gi(Stage):
         def make() -> LitScene:
             transport, planes = prepared.transport, incoming.planes
             sky = sky_radiance(known, scene, light)
-            places = len(transport.texels)
-            picture = np.broadcast_to(mean, (places, 3))
+            picture = np.broadcast_to(mean, transport.texels.shape)
             indirect = transport.solve(scene, light, picture, sky)
             changes = change_textures(indirect, transport.hidden, planes, prepared.soft)
             positions = transport.texels.reshape(*transport.hidden.shape, 3)
             radius_m = visible_radius_m(indirect, planes, positions)
             received, sent = map(transport.grid.nodes, (indirect.received, indirect.sent))
-            return LitScene(indirect, changes, radius_m, received, sent, mean, sky)
+            of_planes = indirect.left, changes, radius_m
+            return LitScene(*of_planes, received, sent, mean, sky)
 
         kept: LitScene = view.memo.of_light.get(key, make)
         return kept.brighter(times)
@@ -280,8 +279,8 @@ class Gi(Stage):
             return Pixels(part, out)
         here, transport = now.crop(box), prepared.transport
         surface = Surface(*(packed(here[Layer(name)]) for name in Surface._fields))
-        left, sky = lit.indirect.left, sky_radiance(view.facts, view.scene, view.light)
-        change = np.zeros((len(transport.texels), 3))
+        left, sky = lit.left, sky_radiance(view.facts, view.scene, view.light)
+        change = np.zeros(transport.texels.shape)
         if LEVELS[view.level].by_frame:
             change = incoming.change(lit.mean, left)
         more = transport.more_from_around(change, sky - lit.sky)

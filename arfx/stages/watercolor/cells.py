@@ -83,13 +83,13 @@ def neighbours(
     sharp = np.float32(1 / REACH**2) / (size[order] ** 2)
     sites = np.stack([*(places - corner[:, None]).take(order, 1), sharp])
     grid = start, order, np.float32(side), rows, columns
-    parallel_rows(lambda a, b: _find_neighbours(sites, grid, a, b, near, weight), n)
+    parallel_rows(partial(_find_neighbours, sites, grid, near, weight), n)
     return near, weight
 
 
 @kernel(fastmath=FAST, error_model="numpy")
 def _find_neighbours(
-    sites, grid, first, last, near, weight
+    sites, grid, near, weight, first, last
 ):  # pragma: no cover - compiled
     """Of the sites first ... last - 1 of the buckets' order.
 

@@ -44,17 +44,14 @@ def paper_grain(seed: int) -> np.ndarray:
 
 
 def wobble_tile(
-    seed: int,
-    amplitude_px: float,
-    wavelength_px: float,
-    first: tuple[float, float] = (0.0, 0.0),
+    seed: int, amplitude_px: float, first: tuple[float, float] = (0.0, 0.0)
 ) -> np.ndarray:
     """(2, WOBBLE_PX, WOBBLE_PX) float32 displacement, in whole 1/STEPS px, that repeats without a
     seam. first : (x, y) px of the noise at which the first pixel lies"""
     fy = np.fft.fftfreq(WOBBLE_PX)[:, None]
     fx = np.fft.rfftfreq(WOBBLE_PX)[None]
     turn = np.exp(2j * np.pi * (fy * first[1] + fx * first[0]))
-    spectra = _wobble_spectra(seed, wavelength_px)
+    spectra = _wobble_spectra(seed, 4 * amplitude_px + 6)
     tile = np.fft.irfft2(spectra * turn, (WOBBLE_PX, WOBBLE_PX)) * (amplitude_px / 2)
     out: np.ndarray = np.round(np.clip(tile, -amplitude_px, amplitude_px) * STEPS)
     return out.astype(np.float32)
