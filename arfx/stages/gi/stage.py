@@ -226,7 +226,7 @@ class Gi(Stage):
             lit.sent,
             LEVELS[view.level].shows * float(divide(soft, brightest)),
         )
-        virtual = self._virtual(view, prepared, incoming, lit, sight)
+        virtual = self._virtual(view, incoming, lit, sight)
         if not disc.empty and lit.radius_m > 0:
             disc = disc_rect(scene, incoming.planes, lit.radius_m, view.pose, frame)
         else:
@@ -266,7 +266,6 @@ class Gi(Stage):
     def _virtual(
         self,
         view: View,
-        prepared: Prepared,
         incoming: IncomingLight,
         lit: LitScene,
         sight: Sight,
@@ -277,7 +276,7 @@ class Gi(Stage):
         box = model.clip(view.out).pad(1).clip(model).clip(now.rect)
         if box.empty:
             return Pixels(part, out)
-        here, transport = now.crop(box), prepared.transport
+        here, transport = now.crop(box), sight.transport
         surface = Surface(*(packed(here[Layer(name)]) for name in Surface._fields))
         left, sky = lit.left, sky_radiance(view.facts, view.scene, view.light)
         change = np.zeros(transport.texels.shape)

@@ -196,5 +196,4 @@ def adjust_tone(
     thin = 1 - (1 - np.minimum(root, 1)) ** (1 + lightness)  # rounding may pass 1
     thin = deepest + (1 - deepest) * thin
     grey = (thin @ _LUMA)[:, None]
-    out: np.ndarray = np.clip(grey + saturation * (thin - grey), 0, 1).astype(np.float32)
-    return out
+    return np.asarray(np.clip(grey + saturation * (thin - grey), 0, 1).astype(np.float32))

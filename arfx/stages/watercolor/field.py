@@ -80,8 +80,7 @@ def detail_factor(detail: np.ndarray) -> np.ndarray:
     """(gh, gw) factor on the size of cells: larger where there is little to see, smaller where
     there is much. detail : (gh, gw) 0..255"""
     fraction = np.minimum(detail / (255 * _MUCH), 1.0)
-    out: np.ndarray = 2.0 ** (_EVEN_LEVELS - (_EVEN_LEVELS + _DETAIL_LEVELS) * fraction)
-    return out
+    return np.asarray(2.0 ** (_EVEN_LEVELS - (_EVEN_LEVELS + _DETAIL_LEVELS) * fraction))
 
 
 def nearness(
@@ -127,5 +126,4 @@ def nearness_limits(strength: float) -> tuple[float, float]:
 def nearness_factor(near: np.ndarray, strength: float) -> np.ndarray:
     """Factor on the size of cells. near : depth of the marker / depth;  strength : > 0, 1 = size in
     proportion to depth"""
-    out: np.ndarray = np.clip(near, *nearness_limits(strength)) ** -strength
-    return out
+    return np.asarray(np.clip(near, *nearness_limits(strength)) ** -strength)

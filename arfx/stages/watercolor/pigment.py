@@ -29,8 +29,7 @@ def smooth_noise(side: int, wavelength_px: float, rng: np.random.Generator) -> n
     fx = np.fft.rfftfreq(side)[None]
     f = np.hypot(fx, fy) * wavelength_px
     picture = np.fft.irfft2(spectrum * f * np.exp(-f * f), (side, side))
-    noise: np.ndarray = picture / max(float(picture.std()), 1e-12)
-    return noise
+    return np.asarray(picture / max(float(picture.std()), 1e-12))
 
 
 def paper_grain(seed: int) -> np.ndarray:
@@ -39,8 +38,7 @@ def paper_grain(seed: int) -> np.ndarray:
     rng = np.random.default_rng([seed, 0x9A9E])
     bumps = smooth_noise(PAPER_PX, GRAIN_PX * 2, rng)
     felt = smooth_noise(PAPER_PX, GRAIN_PX * 5, rng)
-    height: np.ndarray = np.tanh(0.45 * (0.8 * bumps + 0.5 * felt)).astype(np.float32)
-    return height
+    return np.asarray(np.tanh(0.45 * (0.8 * bumps + 0.5 * felt)).astype(np.float32))
 
 
 def wobble_tile(
