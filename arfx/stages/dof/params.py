@@ -177,7 +177,8 @@ class DofParams(Settings):
 
 def interpolate(keys: list[tuple[float, float]], time: float) -> float:
     """Value at `time`: linear between key frames, constant before the first and after the last."""
-    return float(np.interp(time, *zip(*keys, strict=True)))
+    times, values = np.array(keys).T
+    return float(np.interp(time, times, values))
 
 
 def interpolate_ratio(keys: list[tuple[float, float]], time: float) -> float:

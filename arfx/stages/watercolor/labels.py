@@ -66,7 +66,8 @@ class Labels:
             if array.size:
                 np.copyto(array[part], getattr(other, name) + start, where=where)
             arrays.append(array)
-        return Labels(*arrays, self.count + other.count)
+        first, second, inside = arrays
+        return Labels(first, second, inside, self.count + other.count)
 
 
 class Wobble(NamedTuple):

@@ -99,19 +99,15 @@ def _measure_rows(
             ry = half * (planes[0, y + 2, x + 1] - planes[0, y, x + 1])
             gy = half * (planes[1, y + 2, x + 1] - planes[1, y, x + 1])
             by = half * (planes[2, y + 2, x + 1] - planes[2, y, x + 1])
-            measure = _F(0)
-            most = _F(1e-6)
-            across_x = _F(0)
-            across_y = _F(0)
+            measure, most = _F(0), _F(1e-6)
+            across_x, across_y = _F(0), _F(0)
             for k in range(6):
                 dx = channels[k, 0] * rx + channels[k, 1] * gx + channels[k, 2] * bx
                 dy = channels[k, 0] * ry + channels[k, 1] * gy + channels[k, 2] * by
                 strength = np.sqrt(dx * dx + dy * dy)
                 measure += share[k] * strength
                 if k < 3 and strength > most:  # the strongest channel's direction
-                    most = strength
-                    across_x = dx
-                    across_y = dy
+                    most, across_x, across_y = strength, dx, dy
             out.measure[y, x] = measure
             out.across_x[y, x] = across_x / most
             out.across_y[y, x] = across_y / most
@@ -127,10 +123,8 @@ def object_edges(
     layers = coverage, normal, depth
     covered, normals, depths = (np.ascontiguousarray(a[::2, ::2]) for a in layers)
     edge = np.zeros(covered.shape, np.float32)
-    for axis in (
-        0,
-        1,
-    ):  # each pixel of the grid beside its neighbour below and on the right
+    # each pixel of the grid beside its neighbour below and on the right
+    for axis in range(2):
         beside = np.minimum(np.arange(covered.shape[axis]) + 1, covered.shape[axis] - 1)
         other, other_depth = covered.take(beside, axis), depths.take(beside, axis)
         cosine = cv2.transform(normals * normals.take(beside, axis), np.ones((1, 3)))

@@ -198,9 +198,10 @@ class Watercolor(Stage):
         pairs = zip(cells.labels, own.labels, strict=True)
         labels = tuple(back.overlaid(front, inside, box.slices) for back, front in pairs)
         # neighbours within the object only: paint does not run over its outline
-        near = own.near + np.int32(cells.labels[0].count)
-        pairs = (cells.flow, own.flow), (cells.near, near), (cells.weight, own.weight)
-        return CellSet(labels, *map(np.concatenate, pairs))
+        count = np.int32(cells.labels[0].count)
+        near = np.concatenate([cells.near, own.near + count])
+        weight = np.concatenate([cells.weight, own.weight])
+        return CellSet(labels, np.concatenate([cells.flow, own.flow]), near, weight)
 
     def field_of(self, view: View) -> tuple[SiteField, Pose | None]:
         p = self.params
