@@ -29,6 +29,7 @@ How = tuple[np.float32, np.float32, np.ndarray]
 def painted(
     image: np.ndarray,
     lines: np.ndarray,
+    corner: tuple[int, int],
     cells: np.ndarray,
     paper: np.ndarray,
     how: How,
@@ -37,6 +38,7 @@ def painted(
     """(h, w, 3) float32 linear: the picture with pigment.
 
     image : (h, w, 3) linear, of which the means are;  lines (h, w) : their strength, 0..1
+    corner : x, y of the first pixel in the frame, which anchor the paper
     cells (n, 7) float32 : their linear mean, square root of the colour to paint them in, and
         turbulence, times its strength
     paper (PAPER_PX, PAPER_PX) float32 : its height, times the grain's strength
@@ -44,28 +46,29 @@ def painted(
     out = np.empty(image.shape, np.float32)
     layers = labels.first, labels.second, labels.inside
 
-    paint_rows = partial(_paint_rows, image, layers, cells, how, paper, lines, out)
-    parallel_rows(paint_rows, len(out))
+    of_rows = image, layers, cells, how, paper, corner, lines, out
+    parallel_rows(partial(_paint_rows, *of_rows), len(out))
     return out
 
 
 @kernel(fastmath=FAST, error_model="numpy")
 def _paint_rows(
-    image, labels, cells, how, paper, lines, out, first, last
+    image, labels, cells, how, paper, corner, lines, out, first, last
 ):  # pragma: no cover - compiled
     """`painted` of rows first ... last - 1"""
     own_cell, next_cell, inside = labels
     dark, opacity, ink = how
+    x0, y0 = corner
     borders = inside.size > 0
     zero = _F(0)
     one = _F(1)
     for y in range(first, last):
-        grain_row = paper[y & (PAPER_PX - 1)]
+        grain_row = paper[(y0 + y) & (PAPER_PX - 1)]
         for x in range(out.shape[1]):
             k = own_cell[y, x]
             m = k
             mix = zero
-            height = grain_row[x & (PAPER_PX - 1)]
+            height = grain_row[(x0 + x) & (PAPER_PX - 1)]
             density = cells[k, 6] + height
             if borders and inside[y, x] < SOLID:
                 m = next_cell[y, x]

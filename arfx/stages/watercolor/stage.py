@@ -136,7 +136,8 @@ class Watercolor(Stage):
         lines = self.lines_of(view, picture)
         cells = self.cells_of(view, prepared)
         paint = self._mixed(view.level, prepared, cells, picture)
-        paint_on = partial(painted, picture, lines, *paint)
+        corner = view.rect.x0, view.rect.y0
+        paint_on = partial(painted, picture, lines, corner, *paint)
         image = reduce(iadd, map(paint_on, cells.labels))
         image /= np.float32(len(cells.labels))
         return {Layer.IMAGE: image}
@@ -162,7 +163,7 @@ class Watercolor(Stage):
         flat = lit * part[Layer.ALBEDO]
         flat += part[Layer.EMISSIVE]
         flat *= cv2.merge([part[Layer.COVERAGE]] * 3)
-        out, at = image.copy(), box.slices
+        out, at = image.copy(), box.slices_in(view.rect)
         out[at] = replace_lit(out[at], part[Layer.VIRTUAL], flat, view.facts.opacity)
         return packed(out)
 
@@ -173,9 +174,10 @@ class Watercolor(Stage):
             return np.zeros((rect.height, rect.width), np.float32)
         edges = measure_edges(picture)
         # with nothing of the object around it, from an even pixel on
-        box = _object_box(view).pad(2).align(2, 2).clip(rect)
+        box = _object_box(view).shift(-rect.x0, -rect.y0).pad(2).align(2, 2)
+        box = box.clip(Rect.of(rect.width, rect.height))
         if not box.empty:
-            part = view.layers.crop(box)
+            part = view.layers.crop(box.shift(rect.x0, rect.y0))
             shape = part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.DEPTH]
             of_object = object_edges(*shape, view.facts.opacity)
             add_object_edges(edges, of_object, box.x0 // 2, box.y0 // 2, p.line_high)
@@ -196,7 +198,8 @@ class Watercolor(Stage):
             return cells
         own = self._object_cells(view, prepared, pose, box, inside)
         pairs = zip(cells.labels, own.labels, strict=True)
-        labels = tuple(back.overlaid(front, inside, box.slices) for back, front in pairs)
+        part = box.slices_in(view.rect)
+        labels = tuple(back.overlaid(front, inside, part) for back, front in pairs)
         # neighbours within the object only: paint does not run over its outline
         count = np.int32(cells.labels[0].count)
         near = np.concatenate([cells.near, own.near + count])
@@ -213,7 +216,7 @@ class Watercolor(Stage):
         self, view: View, prepared: Prepared, field: SiteField
     ) -> CellSet:
         cell_px, rect, seed = self.params.cell_px, view.rect, view.scene.seed
-        area = rect.area
+        area = view.scene.camera.rect.area
         # more cells than pixels tell nothing apart
         limit = int(min(2 * area + 4096, 12 * area / cell_px**2 + 65536))
 
