@@ -61,7 +61,7 @@ def labelled(
     amplitude, (height, width) = params.wobble_px, shape
     moved = np.array(place)[:, None, None] * STEPS
     if amplitude > 0:
-        tile = wobble_tile(seed, amplitude, 4 * amplitude + 6, place)
+        tile = wobble_tile(seed, amplitude, place)
         moved = (
             moved
             + tile[

@@ -52,10 +52,8 @@ def blurred(
     result = np.zeros((out.height, rect.width, 3), np.float32)
 
     def finish(top: int, bottom: int) -> None:
-        band, to = (
-            Rect(rect.x0, out.y0 + top, rect.x1, out.y0 + bottom),
-            result[top:bottom],
-        )
+        band = Rect(rect.x0, out.y0 + top, rect.x1, out.y0 + bottom)
+        to = result[top:bottom]
         touched = np.zeros(to.shape[:2], np.uint8)
         for layer, light in zip(layers, spread, strict=True):
             part = layer.rect.clip(band)

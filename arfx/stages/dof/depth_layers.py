@@ -36,8 +36,6 @@ def depth_layers(
     blurred = radius > SHARP_PX
     near = blurred & (dioptre > coc.focus)
     far = blurred & ~near
-    if near.all() or far.all() or not blurred.any():
-        return [(light, radius)]
     out = [_without_holes(light, radius, far)] if far.any() else []
     if not blurred.all():
         sharp = _part(light, ~blurred)

@@ -17,7 +17,7 @@ import numpy as np
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.numerics import EPS_DEPTH_M, divide
-from arfx.core.rect import EMPTY, Rect
+from arfx.core.rect import Rect
 from arfx.stages.dof.aperture import SHARP_PX
 from arfx.stages.dof.depth_layers import depth_layers, dioptre_of
 from arfx.stages.dof.optics import CircleOfConfusion
@@ -137,9 +137,8 @@ def _object(
     dioptre = 1 / np.clip(np.where(known, depth, near), np.float32(near), np.float32(far))
     radius = np.where(known, coc.radius_px(dioptre), np.float32(0))
     light = cv2.cvtColor(now[Layer.VIRTUAL], cv2.COLOR_RGB2RGBA)
-    cv2.insertChannel(
-        np.fmax(now[Layer.COVERAGE], np.float32(0)), light, 3
-    )  # not a number is none
+    coverage = np.fmax(now[Layer.COVERAGE], np.float32(0))  # not a number is none
+    cv2.insertChannel(coverage, light, 3)
     if facts.opacity < 1:
         light = light * np.float32(facts.opacity)
     return light, radius
@@ -188,9 +187,5 @@ def _radius_around(rect: Rect, coverage: np.ndarray, radius: np.ndarray) -> np.n
 
 def box_of(mask: np.ndarray) -> Rect:
     """Smallest rectangle that holds what is not 0."""
-    ys, xs = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    return (
-        Rect(int(xs[0]), int(ys[0]), int(xs[-1]) + 1, int(ys[-1]) + 1)
-        if len(ys)
-        else EMPTY
-    )
+    x, y, width, height = cv2.boundingRect((mask != 0).view(np.uint8))
+    return Rect(x, y, x + width, y + height)

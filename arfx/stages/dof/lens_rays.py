@@ -45,19 +45,13 @@ _BATCH_PX = 1024
 _HOLE = 0.1
 
 
-@dataclass(frozen=True, eq=False)
 class RayScene:
     """triangles : metres from centre_m in world axes;  directions : of the camera's pixels"""
 
-    triangles: Triangles
-    centre_m: np.ndarray
-    directions: LensTable
-
-    @staticmethod
-    def of(scene: Scene) -> RayScene:
+    def __init__(self, scene: Scene) -> None:
         mesh = scene.mesh_at(0.0)
-        triangles = Triangles(mesh.corners_m, robust=True)
-        return RayScene(triangles, mesh.centre_m, LensTable(scene.camera))
+        self.triangles = Triangles(mesh.corners_m, robust=True)
+        self.centre_m, self.directions = mesh.centre_m, LensTable(scene.camera)
 
 
 @lru_cache(maxsize=4)
@@ -98,10 +92,13 @@ class LensView:
     real: Real | None
 
     def seen(self) -> tuple[np.ndarray, np.ndarray]:
-        """Fraction of the lens that sees the object (h, w), and what its light adds (h, w, 3),
+        """Fraction of the lens that sees the object (h, w, 1), and what its light adds (h, w, 3),
         with the correction of what passes by it."""
         rect, blades = self.now.rect, self.params.blades
-        fraction, colour = np.zeros(self.sharp.shape[:2]), np.zeros(self.sharp.shape)
+        fraction, colour = (
+            np.zeros((*self.sharp.shape[:2], 1)),
+            np.zeros(self.sharp.shape),
+        )
         reach = circumradius(blades) * object_radius_px(self.facts, self.coc)
         box = object_box(self.facts, rect, reach)
         if self.facts.model_box.empty or box.empty:
@@ -114,8 +111,8 @@ class LensView:
             part = Rect(box.x0, top, box.x1, min(top + rows, box.y1))
             at = part.slices_in(rect)
             seen, mean = self.trace(part, points)
-            fraction[at] = seen.reshape(fraction[at].shape)
-            colour[at] = mean.reshape(colour[at].shape)
+            fraction[at] = seen.reshape(-1, part.width, 1)
+            colour[at] = mean.reshape(-1, part.width, 3)
 
         parallel_map(trace, range(box.y0, box.y1, rows))
         return fraction, colour
@@ -126,11 +123,8 @@ class LensView:
         behind = self.behind[part.slices_in(self.now.rect)].reshape(-1, 3)
         rows, columns = np.arange(part.y0, part.y1 + 1), np.arange(part.x0, part.x1 + 1)
         corners = self.scene.directions.at(rows - 0.5, columns - 0.5).astype(float)
-        known = np.isfinite(corners).all(-1)
-        above, below = known[:-1], known[1:]
-        active = np.flatnonzero(
-            above[:, 1:] & above[:, :-1] & below[:, 1:] & below[:, :-1]
-        )
+        beside = corners[:-1] + corners[1:]
+        active = np.flatnonzero(np.isfinite(beside[:, :-1] + beside[:, 1:]).all(-1))
         sums, count = np.zeros((part.area, 12)), np.ones((part.area, 1))
         first, last = 0, FIRST
         while len(active) and first < len(points):
@@ -145,10 +139,8 @@ class LensView:
             active = active[noise[active] > NOISE]
             first, last = last, 2 * last
         fraction = sums[:, :1] / count
-        return (
-            fraction,
-            fraction * divide(sums[:, 2:5], sums[:, 1:2]) + sums[:, 8:11] / count,
-        )
+        light = fraction * divide(sums[:, 2:5], sums[:, 1:2])
+        return fraction, light + sums[:, 8:11] / count
 
     def _add(
         self,
@@ -195,12 +187,8 @@ class LensView:
         corner = np.array([self.now.rect.x0, self.now.rect.y0])
         place = self.camera.project(seen) - corner - (points[:, 2:] - 0.5)
         h, w = self.sharp.shape[:2]
-        x, y = (
-            np.rint(np.where(np.isfinite(place), place, 0.0))
-            .astype(int)
-            .transpose(2, 0, 1)
-        )
-        return self.sharp[y.clip(0, h - 1), x.clip(0, w - 1)]
+        nearest = np.rint(np.where(np.isfinite(place), place, 0.0)).astype(int)
+        return self.sharp[nearest[..., 1].clip(0, h - 1), nearest[..., 0].clip(0, w - 1)]
 
 
 def _aim(

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from itertools import pairwise
 from typing import Annotated, Any, Literal, TypeVar
 
+import numpy as np
 from pydantic import AfterValidator, model_validator
 
 from arfx.core.settings import Settings, setting
@@ -93,12 +93,7 @@ def _polygon(blades: int) -> None:
 
 def _valid(check: Callable[[Any], object]) -> AfterValidator:
     """Refuses what `check` refuses."""
-
-    def same(value: Any) -> Any:
-        check(value)
-        return value
-
-    return AfterValidator(same)
+    return AfterValidator(lambda value: (check(value), value)[1])
 
 
 def _require(right: bool, what: str, value: float) -> None:
@@ -182,12 +177,8 @@ class DofParams(Settings):
 
 def interpolate(keys: list[tuple[float, float]], time: float) -> float:
     """Value at `time`: linear between key frames, constant before the first and after the last."""
-    if time <= keys[0][0]:
-        return keys[0][1]
-    for (t0, a), (t1, b) in pairwise(keys):
-        if time < t1:
-            return a + (b - a) * (time - t0) / (t1 - t0)
-    return keys[-1][1]
+    times, values = np.array(keys).T
+    return float(np.interp(time, times, values))
 
 
 def interpolate_ratio(keys: list[tuple[float, float]], time: float) -> float:

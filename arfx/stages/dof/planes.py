@@ -30,8 +30,13 @@ _SAME_PLANE = 0.1
 @lru_cache(maxsize=4)
 def direction_grid(camera: Camera) -> np.ndarray:
     """(gh, gw, 3) directions as `viewing.direction_grid`; where there is none, the axis."""
-    d = viewing.direction_grid(camera)
-    return np.where(np.isfinite(d).all(-1, keepdims=True), d, [0.0, 0.0, 1.0])
+    return seen_or_axis(viewing.direction_grid(camera))
+
+
+def seen_or_axis(directions: np.ndarray) -> np.ndarray:
+    """(..., 3) the directions that are finite, and the optical axis in place of the others."""
+    known = np.isfinite(directions).all(-1, keepdims=True)
+    return np.where(known, directions, [0.0, 0.0, 1.0])
 
 
 def between_nodes(nodes: np.ndarray, rect: Rect) -> np.ndarray:

@@ -30,7 +30,7 @@ from arfx.stages.dof.layers import behind_object
 from arfx.stages.dof.lens_rays import LensView, RayScene, lens_points
 from arfx.stages.dof.optics import CircleOfConfusion
 from arfx.stages.dof.params import DofParams
-from arfx.stages.dof.planes import Plane, Real
+from arfx.stages.dof.planes import Plane, Real, seen_or_axis
 
 # Circles of a radius of n^2 px: n times as many, a hundredth of a radius apart and less.
 _SIZES = 128
@@ -68,18 +68,14 @@ def render(
         real if params.scope == "all" and endless else None,
     )
     fraction, colour = view.seen()
-    opacity = float(facts.opacity)
-    return (blurred + opacity * (colour - blurred * fraction[..., None])).astype(
-        np.float32
-    )
+    image = blurred + float(facts.opacity) * (colour - blurred * fraction)
+    return image.astype(np.float32)
 
 
 def _directions(camera: Camera, rect: Rect) -> np.ndarray:
     """(h, w, 3) of the pixels of `rect`, z = 1; the axis where there is none."""
     pixels = np.meshgrid(np.arange(rect.x0, rect.x1), np.arange(rect.y0, rect.y1))
-    directions = camera.directions(np.stack(pixels, -1).astype(float))
-    known = np.isfinite(directions).all(-1, keepdims=True)
-    return np.where(known, directions, [0.0, 0.0, 1.0])
+    return seen_or_axis(camera.directions(np.stack(pixels, -1).astype(float)))
 
 
 def _planes(
@@ -129,17 +125,15 @@ def _measured(
     (light, radius), *fronts = depth_layers(behind, dioptre, coc)
     flat, sharp = np.zeros((*radius.shape, 2)), behind[..., :3].astype(float)
     base, whole = light[..., :3].astype(float), np.ones(radius.shape)
-    out = _normal(_scattered(base, whole, radius.astype(float), flat, params), sharp)
+    out = _normal(_scattered(base, whole, radius, flat, params), sharp)
     for light, radius in fronts:
         coverage = light[..., 3].astype(float)
         _, nearest = distance_transform_edt(coverage <= 0, return_indices=True)
-        around = radius[tuple(nearest)].astype(float)
+        around = radius[tuple(nearest)]
         colour = divide(light[..., :3], coverage[..., None])
         spread = _scattered(colour, coverage, around, flat, params)
-        through = _scattered(np.zeros_like(sharp), 1 - coverage, around, flat, params)[
-            ..., 3
-        ]
-        fraction = divide(spread[..., 3], spread[..., 3] + through)[..., None]
+        everything = _scattered(colour, whole, around, flat, params)
+        fraction = divide(spread[..., 3:], everything[..., 3:])
         out = out + (_normal(spread, out) - out) * fraction
     return out
 
@@ -174,7 +168,7 @@ def _scattered(
     light = (
         np.dstack([colour * boost[..., None], np.ones_like(weight)]) * weight[..., None]
     )
-    steps = np.round(np.sqrt(radius) * _SIZES).astype(np.int64)
+    steps = np.round(np.sqrt(radius, dtype=float) * _SIZES).astype(np.int64)
     sizes, which = np.unique(steps, return_inverse=True)
     lens = params.blades, params.blade_turn_deg
     ends = [_disc_ends((q / _SIZES) ** 2, *lens) for q in sizes]

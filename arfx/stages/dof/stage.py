@@ -101,30 +101,21 @@ class Dof(Stage):
         fits = [f.lens for f in job.facts if f.lens is not None]
         known = [f for f in fits if f.known]
         reason = fits[0].reason if fits else "not measured"
-        yield Check(
-            name,
+        found, action = (
             "measured" if known else "refused",
-            "measured",
-            bool(known),
             f"object stays sharp: {reason}",
         )
+        yield Check(name, found, "measured", bool(known), action)
         if known:
-            fraction = max(
-                float(divide(f.px_per_dioptre_ci95, f.px_per_dioptre)) for f in known
-            )
-            yield Check(
-                f"{name}, half width of its interval",
-                fraction,
-                0.5,
-                fraction <= 0.5,
-                "blur is a rough guess",
-            )
+            halves = [divide(f.px_per_dioptre_ci95, f.px_per_dioptre) for f in known]
+            most, name = float(max(halves)), f"{name}, half width of its interval"
+            yield Check(name, most, 0.5, most <= 0.5, "blur is a rough guess")
 
     def prepare(self, scene: Scene, level: str) -> Any:
         if level == "reference":
             from arfx.stages.dof.lens_rays import RayScene
 
-            return RayScene.of(scene)
+            return RayScene(scene)
         return direction_grid(scene.camera)
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
@@ -133,17 +124,13 @@ class Dof(Stage):
             return {Layer.IMAGE: now[Layer.IMAGE].copy()}
         coc, real = self._frame(facts, scene)
         if view.level == "reference":
-            from arfx.stages.dof import reference
+            from arfx.stages.dof.reference import render
 
-            return {
-                Layer.IMAGE: reference.render(
-                    now, facts, scene, real, coc, self.params, prepared
-                )
-            }
+            image = render(now, facts, scene, real, coc, self.params, prepared)
+            return {Layer.IMAGE: image}
         layers = layers_of_light(now, facts, real, prepared, coc, self.params)
-        image = blurred(
-            now[Layer.IMAGE], layers, view.out, LEVELS[view.level], self.params
-        )
+        how = view.out, LEVELS[view.level], self.params
+        image = blurred(now[Layer.IMAGE], layers, *how)
         rows = Rect(now.rect.x0, view.out.y0, now.rect.x1, view.out.y1)
         return {Layer.IMAGE: Pixels(rows, image).clip(view.out)}
 

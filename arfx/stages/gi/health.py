@@ -22,6 +22,7 @@ from arfx.core.stage import Check, JobView
 from arfx.stages.light.surroundings import checked_faces
 
 SIZE = (96, 72)
+_VIEW_DEG = 58.10920819815431  # a focal length of .9 of the width
 # of the mean: thin parts and corners darken a little, as each sees the other darkened once
 # more
 LIMIT = 0.05
@@ -37,12 +38,8 @@ def seams(job: JobView) -> Iterator[Check]:
     guesses = [f.environment for f in job.facts if f.environment is not None]
     maps = [checked_faces(guess) for guess in _evenly(guesses)]
     for rgba in _evenly([*job.scene.environment_maps.values()]):
-        block = rgba.shape[1] // _COARSE_PX
-        blocks = (
-            rgba[..., :3]
-            .astype(float)
-            .reshape(6, _COARSE_PX, block, _COARSE_PX, block, 3)
-        )
+        block, rgb = rgba.shape[1] // _COARSE_PX, rgba[..., :3].astype(float)
+        blocks = rgb.reshape(6, _COARSE_PX, block, _COARSE_PX, block, 3)
         maps.append(blocks.mean((2, 4)))
     if maps:
         worst = max(map(seam_ratio, maps))
@@ -52,14 +49,9 @@ def seams(job: JobView) -> Iterator[Check]:
 
 def _evenly(things: Sequence[T]) -> list[T]:
     """_LOOKS of them, or fewer."""
-    return (
-        [
-            things[i]
-            for i in np.unique(np.linspace(0, len(things) - 1, _LOOKS).astype(int))
-        ]
-        if things
-        else []
-    )
+    last = max(len(things) - 1, 0)
+    numbers = {int(k) for k in np.linspace(0, last, _LOOKS)}
+    return [things[k] for k in sorted(numbers) if things]
 
 
 def seam_ratio(faces: np.ndarray) -> float:
@@ -88,14 +80,8 @@ def furnace(job: JobView) -> Iterator[Check]:
     for level in sorted(job.levels["gi"] - {"reference"}):
         mean = furnace_mean(job, level)
         if mean is not None:
-            ok = abs(mean - 1) <= LIMIT
-            yield Check(
-                f"white furnace at {level}: mean of 1",
-                mean,
-                f"1 ± {LIMIT}",
-                ok,
-                "gi at a higher level",
-            )
+            ok, name = abs(mean - 1) <= LIMIT, f"white furnace at {level}: mean of 1"
+            yield Check(name, mean, f"1 ± {LIMIT}", ok, "gi at a higher level")
 
 
 def furnace_mean(job: JobView, level: str) -> float | None:
@@ -112,24 +98,15 @@ def furnace_mean(job: JobView, level: str) -> float | None:
         scene.model,
         parts=tuple(replace(p, material=white, colours=None) for p in scene.model.parts),
     )
-    width, height = SIZE
-    focal = 0.9 * width
-    camera = Camera(
-        width,
-        height,
-        np.array(
-            [[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]]
-        ),
-    )
-    even = Light(ambient_rgb=(1.0, 1.0, 1.0), lights=())
+    even = Light((1.0, 1.0, 1.0), ())
+    camera = Camera.guess(*SIZE, _VIEW_DEG)
     small = replace(scene, camera=camera, model=model, light=even, surface_m=None)
     box = scene.world_from_anchor.inverse().apply(scene.model_corners_m)
-    centre, size_m = (
-        (box.min(0) + box.max(0)) / 2,
-        float(np.linalg.norm(np.ptp(box, axis=0))),
-    )
-    turn = rotation_from_euler_deg(180, 0, 0) @ rotation_from_euler_deg(-40, 0, 0)
-    camera_from_anchor = Pose(turn, np.array([0, 0, 1.3 * size_m]) - turn @ centre)
+    low, high = box.min(0), box.max(0)
+    away_m = 1.3 * float(np.linalg.norm(high - low))
+    turn = rotation_from_euler_deg(140, 0, 0)
+    shift_m = np.array([0, 0, away_m]) - turn @ (low + high) / 2
+    camera_from_anchor = Pose(turn, shift_m)
     pose = camera_from_anchor @ scene.world_from_anchor.inverse()
     facts = FrameFacts(
         0, 0.0, status=MEASURED, camera_from_world=pose, opacity=1.0, light=even

@@ -77,8 +77,12 @@ def change_textures(
             places = (texel_places(texture) @ turn.T + shift) / planes.half_m
             if texture is blank:
                 share = sampled(share[..., None], places)[..., 0]
-            change = (share * _faded(places))[..., None] * sampled(change, places)
-            textures.append(PlaneTexture(_bordered(change), texture.texel_from_m))
+            rim = (1 - np.linalg.norm(places, axis=-1)) / (1 - _RIM)
+            share = share * np.clip(rim, 0, 1)
+            change = np.moveaxis(share[..., None] * sampled(change, places), 2, 0)
+            inner = np.pad(change[:, 1:-1, 1:-1], ((0, 0), (1, 1), (1, 1)))
+            change = inner.astype(np.float32, "C")
+            textures.append(PlaneTexture(change, texture.texel_from_m))
         out.append(textures)
     return out
 
@@ -91,12 +95,6 @@ def _even_picture(half_m: float, middle_m: np.ndarray) -> PlaneTexture:
     return PlaneTexture(np.zeros((_OTHER_SIDE, _OTHER_SIDE), np.float32), matrix)
 
 
-def _bordered(change: np.ndarray) -> np.ndarray:
-    """(3, h, w) float32 of (h, w, 3), 0 along the border."""
-    inner = np.moveaxis(change[1:-1, 1:-1], 2, 0)
-    return np.pad(inner, ((0, 0), (1, 1), (1, 1))).astype(np.float32, "C")
-
-
 def sampled(texels: np.ndarray, places: np.ndarray) -> np.ndarray:
     """(h, w, c) of a warped texture (side, side, c) at places (h, w, 2) in half sides from
     its middle.
@@ -107,12 +105,6 @@ def sampled(texels: np.ndarray, places: np.ndarray) -> np.ndarray:
     x, y = np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1])
     out = cv2.remap(source, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return out.reshape(*places.shape[:2], -1)
-
-
-def _faded(places: np.ndarray) -> np.ndarray:
-    """(h, w) 1 inside, 0 from the rim of the texture on."""
-    away = np.linalg.norm(places, axis=-1)
-    return np.clip((1 - away) / (1 - _RIM), 0, 1)
 
 
 def add_change(

@@ -221,13 +221,9 @@ class Pixels:
 
         def draw(numbers: np.ndarray) -> np.ndarray:
             d = lobes.directions(numbers[:, 0, LOBE])
-            plane, distance = around.first_plane(start, d)
-            met = np.flatnonzero(plane >= 0)
-            places = start[met] + distance[met, None] * d[met]
-            sky = around.environment.radiance(d[met], np.ones((len(met), 3)))
-            out = np.zeros_like(start)
-            out[met] = around.picture(places, plane[met]) - sky
-            return out
+            wide, ends = np.ones_like(start), around.first_plane(start, d)
+            sky = around.environment.radiance(d, wide)
+            return around.radiance(start, d, *ends, wide) - sky
 
         return self._mean(draw, rows)
 
@@ -235,9 +231,8 @@ class Pixels:
         """(n, 3) of all samples of some pixels. draw : one, of numbers (n, BOUNCES + 1, NUMBERS)"""
         (row, column), rect, count = rows, self.view.rect, len(rows[0])
         band = replace(rect, y0=rect.y0 + int(row[0]), y1=rect.y0 + int(row[-1]) + 1)
-        shift = np.empty((count, DIMENSIONS))
-        for k in range(DIMENSIONS):
-            shift[:, k] = noise(band, self.view.key, k)[row - row[0], column]
+        drawn = (noise(band, self.view.key, k) for k in range(DIMENSIONS))
+        shift = np.stack([each[row - row[0], column] for each in drawn], -1)
         total = np.zeros((count, 3))
         for point in self.sequence:
             numbers = (shift + point) % 1

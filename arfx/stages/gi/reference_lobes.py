@@ -26,23 +26,15 @@ ABOVE = 1e-5  # least cosine of a direction that leaves a surface
 
 
 class Reflected(NamedTuple):
-    """Of directions (k): scattered, mirrored (k, 3) : share of their light, times the cosine
-    density (k, 1) : per steradian with
-    which they are drawn"""
+    """Of directions (k). total (k, 3) : share of their light that is scattered or mirrored, times
+        the cosine
+    density (k, 1) : per steradian with which they are drawn
+    wide (k, 3) : as `Environment.radiance` takes it: 1 of what is scattered, the lobe's width of
+        what is mirrored"""
 
-    scattered: np.ndarray
-    mirrored: np.ndarray
+    total: np.ndarray
     density: np.ndarray
-
-    @property
-    def total(self) -> np.ndarray:
-        """(k, 3) scattered or mirrored."""
-        return self.scattered + self.mirrored
-
-    @property
-    def weight(self) -> np.ndarray:
-        """(k, 3) by which the light of a direction counts that was drawn."""
-        return divide(self.total, self.density)
+    wide: np.ndarray
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -65,27 +57,13 @@ def from_frame(frame: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return np.einsum("kij,ki->kj", frame, vectors)
 
 
-def disc(numbers: np.ndarray) -> np.ndarray:
-    """(k, 2) even over the unit disc, from numbers (k, 2)."""
-    u, v = numbers.T
-    r = np.sqrt(u)
-    phi = 2 * np.pi * v
-    return np.stack([r * np.cos(phi), r * np.sin(phi)], -1)
-
-
 def on_ball(height: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """(k, 3) unit vectors by their height over the middle (k, 1), and part of a turn (k, 1)."""
+    """(k, 3) unit vectors by their height over the middle (k, 1), and part of a turn (k, 1).
+
+    Of a height sqrt(1 - u), u even: directions as dense as the cosine (Malley)."""
     side = np.sqrt(np.maximum(1 - height**2, 0))
     phi = 2 * np.pi * turn
     return np.column_stack([side * np.cos(phi), side * np.sin(phi), height])
-
-
-def raised(places: np.ndarray) -> np.ndarray:
-    """(k, 3) places (k, 2) of the unit disc, on the half ball over it: cosine-weighted directions
-    (Malley)."""
-    height2 = 1 - (places**2).sum(1)
-    z = np.sqrt(np.maximum(height2, 0))
-    return np.column_stack([places, z])
 
 
 def schlick(f0: np.ndarray, cosine: np.ndarray) -> np.ndarray:
@@ -114,7 +92,7 @@ class MaterialLobes:
     2019).
 
     normals, towards (k, 3) : unit, towards the viewer;  albedo (k, 3)
-    metal, f0, roughness (k, 1);  width (k, 1) : of `lobe_width`, of what is mirrored"""
+    metal, f0, roughness (k, 1)"""
 
     def __init__(
         self,
@@ -132,7 +110,7 @@ class MaterialLobes:
         self._view = normalise(view)
         self._f0 = f0 + albedo * metal
         self._a = np.clip(roughness, SMOOTHEST, 1) ** 2
-        self.width = lobe_width(roughness)
+        self._width = lobe_width(roughness)
         cosine = self._view[:, 2:]
         even = gloss_weights(roughness[:, 0], cosine[:, 0])
         direct, grazing = (share[:, None] for share in even)
@@ -149,7 +127,7 @@ class MaterialLobes:
         choice, u, v = numbers.T[:, :, None]
         h = self._visible_normals(u, v)
         mirrored = 2 * dot(self._view, h) * h - self._view
-        scattered = raised(disc(numbers[:, 1:]))
+        scattered = on_ball(np.sqrt(1 - u), v)
         local = np.where(choice < self._chance, mirrored, scattered)
         return from_frame(self._frame, local)
 
@@ -173,9 +151,11 @@ class MaterialLobes:
         mirrored = schlick(self._f0, grazing) * share * self._returned
         cosine = cos_light / np.pi
         scattered = self._diffuse * cosine
+        total = scattered + mirrored
         density = cosine + self._chance * (of_gloss - cosine)
         above = d[:, 2:] > ABOVE
-        return Reflected(scattered * above, mirrored * above, density * above)
+        wide = divide(scattered + self._width * mirrored, total)
+        return Reflected(total * above, density * above, wide)
 
     def _visible_normals(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """(k, 3) normals of microfacets that the viewer sees, from numbers u, v (k, 1)."""
@@ -195,7 +175,7 @@ class PlaneLobes:
 
     About the normal where the ball is near; in half of the samples where what other planes lose or
     gain counts too (`all_around`). points, normals (k, 3);  centre (3,), radius : of the ball
-    width (k, 1), `directions`, `at` : as of `MaterialLobes`"""
+    `directions`, `at` : as of `MaterialLobes`"""
 
     def __init__(
         self,
@@ -207,7 +187,6 @@ class PlaneLobes:
     ) -> None:
         self._normals = normals
         self._frame = frames(normals)
-        self.width = np.ones((len(points), 1))
         towards = centre - points
         away = np.linalg.norm(towards, axis=1, keepdims=True)
         self._axis = divide(towards, away)
@@ -221,7 +200,7 @@ class PlaneLobes:
     def directions(self, numbers: np.ndarray) -> np.ndarray:
         choice, u, v = numbers.T[:, :, None]
         in_cone = from_frame(self._cone, on_ball(1 - u * (1 - self._least), v))
-        about_normal = from_frame(self._frame, raised(disc(numbers[:, 1:])))
+        about_normal = from_frame(self._frame, on_ball(np.sqrt(1 - u), v))
         return np.where(choice < self._chance, in_cone, about_normal)
 
     def at(self, directions: np.ndarray) -> Reflected:
@@ -231,7 +210,7 @@ class PlaneLobes:
         in_cone = inside * divide(1.0, solid_angle)
         density = cosine + self._chance * (in_cone - cosine)
         scattered = np.repeat(cosine, 3, axis=1)
-        return Reflected(scattered, np.zeros_like(scattered), density)
+        return Reflected(scattered, density, np.ones_like(scattered))
 
 
 Lobes = MaterialLobes | PlaneLobes

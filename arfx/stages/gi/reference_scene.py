@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from arfx.core.cube import look_up
 from arfx.core.numerics import divide, normalise
 from arfx.core.scene import Scene
 from arfx.stages.gi.incoming import IncomingLight
@@ -36,21 +35,17 @@ class Met(NamedTuple):
 
 
 class Surface(NamedTuple):
-    """Places on the model. position, normal, albedo, emission (n, 3)
-    metal, f0, roughness (n, 1) : f0 of what is no metal"""
+    """Places on the model. position, normal, emission, albedo (n, 3)
+    metal, f0, roughness (n, 1) : f0 of what is no metal;  from albedo on as `MaterialLobes` takes
+    them"""
 
     position: np.ndarray
     normal: np.ndarray
-    albedo: np.ndarray
     emission: np.ndarray
+    albedo: np.ndarray
     metal: np.ndarray
     f0: np.ndarray
     roughness: np.ndarray
-
-    @property
-    def material(self) -> tuple[np.ndarray, ...]:
-        """As `MaterialLobes` takes it."""
-        return self.albedo, self.metal, self.f0, self.roughness
 
     @property
     def diffuse(self) -> np.ndarray:
@@ -100,9 +95,8 @@ class RayScene:
         shiny = texels_of(mesh, "metallic_roughness_texture", part, uv)[:, 1:3] / 255
         roughness, metal = np.hsplit(shine * shiny, 2)
         f0 = 0.08 * specular * (1 - metal)
-        return Surface(
-            position, normalise(normal), albedo, emission, metal, f0, roughness
-        )
+        shown = position, normalise(normal), emission, albedo
+        return Surface(*shown, metal, f0, roughness)
 
 
 class Surroundings:
@@ -114,7 +108,6 @@ class Surroundings:
         self.axes = planes.axes.astype(float)
         self._bounds = planes.bounds.astype(float)
         self._bounds[np.abs(self._bounds) >= ENDLESS] *= np.inf
-        self._irradiance = environment.irradiance(incoming.mean, environment.turn[:, 2])
 
     def first_plane(
         self, origins: np.ndarray, directions: np.ndarray
@@ -146,7 +139,19 @@ class Surroundings:
             out[rows] = np.where(known[..., None] > 0, radiance, around)[0]
         return out
 
-    def unoccluded(self, normals: np.ndarray) -> np.ndarray:
-        """(n, 3) what a white surface gets from all around with nothing in the way: the end of a
-        path."""
-        return look_up(self._irradiance, normals @ self.environment.turn.T)
+    def radiance(
+        self,
+        starts: np.ndarray,
+        directions: np.ndarray,
+        plane: np.ndarray,
+        distance: np.ndarray,
+        wide: np.ndarray,
+        sky: np.ndarray | float = 1.0,
+    ) -> np.ndarray:
+        """(n, 3) that is there without the object. plane, distance : of `first_plane`;  wide (n, 3)
+        : as `Environment.radiance` takes it;  sky (n, 1) : share of its light that counts"""
+        out = self.environment.radiance(directions, wide) * sky
+        met = np.flatnonzero(plane >= 0)
+        places = starts[met] + distance[met, None] * directions[met]
+        out[met] = self.picture(places, plane[met])
+        return out

@@ -6,13 +6,11 @@ environment itself."""
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
-from arfx.core.cube import face_directions, look_up, on_cube, on_faces, solid_angles
+from arfx.core.cube import look_up, on_cube, on_faces, solid_angles
 from arfx.core.numerics import divide, normalise
 
-IRRADIANCE_PX = 16  # of a face
 # An environment whose brightest texel is less than so many times its mean needs no samples of its
 # own.
 BRIGHT = 3.0
@@ -77,23 +75,3 @@ class Environment:
         d = first[face] + along[:, None] * (across - first)[face]
         d += down[:, None] * (below - first)[face]
         return np.asarray(normalise(d) @ self.turn)
-
-    def irradiance(self, below: np.ndarray, up: np.ndarray) -> np.ndarray:
-        """(6, k, k, 3) radiance of white surfaces by their normal, with radiance `below` (3,) under
-        the horizon of `up` (3,).
-
-        Axes are the cubes'."""
-        # it is smooth: few texels give the same
-        size = min(self._size, IRRADIANCE_PX)
-        few = [
-            cv2.resize(face, (size, size), interpolation=cv2.INTER_AREA)
-            for face in self._broad
-        ]
-        directions = face_directions(size).reshape(-1, 3)
-        under = (directions @ up < 0)[:, None]
-        around = np.where(under, below, np.reshape(few, (-1, 3)))
-        normals = face_directions(IRRADIANCE_PX).reshape(-1, 3)
-        solid = np.tile(solid_angles(size).ravel(), 6)
-        facing = np.maximum(normals @ directions.T, 0) * solid
-        mean = divide(facing @ around, facing.sum(1, keepdims=True))
-        return np.asarray(mean.reshape(6, IRRADIANCE_PX, IRRADIANCE_PX, 3))

@@ -1,11 +1,11 @@
 """Paths of light through the object, the planes and their surroundings, for level `reference`.
 
 A path is one ray after another. Where it meets the object it takes the lamps' light and goes on by
-a random lobe of the material; after BOUNCES places it ends with the light of all around as if
-nothing were in its way. Where it meets a plane it takes the picture, less the lamps' light that the
-object hides there, and goes on with what the object changes of the plane's soft light: such a ray
-counts for what the object sends less what it hides. Bright parts of the environment are sampled as
-well.
+a random lobe of the material; after BOUNCES places it takes the light of all around as if the
+object were not in its way. Where it meets a plane it takes the picture, less the lamps' light that
+the object hides there, and goes on with what the object changes of the plane's soft light: such a
+ray counts for what the object sends less what it hides. Bright parts of the environment are sampled
+as well.
 Source: Pharr, Jakob, Humphreys, Physically Based Rendering (estimators). Leaves out: lamps mirrored
 on the way (caustics); samples of what glows: small things that glow are met by chance."""
 
@@ -22,10 +22,9 @@ from arfx.stages.gi.reference_lobes import (
     Lobes,
     MaterialLobes,
     PlaneLobes,
-    Reflected,
-    disc,
     dot,
     frames,
+    on_ball,
 )
 from arfx.stages.gi.reference_scene import Met, RayScene, Surroundings
 
@@ -41,23 +40,19 @@ class Rays(NamedTuple):
     """Rays (n) under way. pixel (n,) : row of what they are drawn for, each once;  start (n, 3)
     weight (n, 3) : by which what they bring counts;  change (n, 1) bool : whether only what the
     object changes counts
-    direction (n, 3);  density (n, 1) : with which it was drawn, per steradian
-    wide (n, 3) : as `Environment.radiance` takes it"""
+    direction (n, 3);  wide (n, 3) : as `Environment.radiance` takes it
+    sky (n, 1) : share of the environment's light that they bring, the rest is sampled"""
 
     pixel: np.ndarray
     start: np.ndarray
     weight: np.ndarray
     change: np.ndarray
     direction: np.ndarray
-    density: np.ndarray
     wide: np.ndarray
+    sky: np.ndarray
 
     def of(self, rows: np.ndarray) -> Rays:
         return Rays(*(values[rows] for values in self))
-
-    def along(self, distance: np.ndarray) -> np.ndarray:
-        """(n, 3) places at a distance (n,), metres."""
-        return np.asarray(self.start + distance[:, None] * self.direction)
 
 
 class Tracer:
@@ -94,19 +89,19 @@ class Tracer:
         numbers (n, BOUNCES + 1, NUMBERS) in [0, 1). Lamps that shine on the surfaces themselves are
         left out."""
         count = len(start)
-        out = np.zeros((count, 3))
-        weight, changes = np.ones((count, 3)), np.full((count, 1), change)
-        rays = self._scattered(
-            np.arange(count), start, weight, changes, lobes, numbers[:, 0], out
-        )
+        out, weight = np.zeros((count, 3)), np.ones((count, 3))
+        whole = np.arange(count), start, weight, np.full((count, 1), change)
+        rays = self._scattered(*whole, lobes, numbers[:, 0], out)
         for bounce in range(1, BOUNCES + 1):
-            drawn = numbers[rays.pixel, bounce]
-            rays = self._met(rays, drawn, bounce == BOUNCES, out)
+            rays = self._met(rays, numbers[rays.pixel, bounce], out)
+        rays = rays.of(np.flatnonzero(~rays.change))
+        ends = self.around.first_plane(rays.start, rays.direction)
+        out[rays.pixel] += rays.weight * self._behind(rays, *ends)
         return out
 
-    def _met(self, rays: Rays, drawn: np.ndarray, last: bool, out: np.ndarray) -> Rays:
-        """Rays that go on where these end, unless they are the `last`. out (pixels, 3) += what
-        these bring;  drawn (n, NUMBERS)"""
+    def _met(self, rays: Rays, drawn: np.ndarray, out: np.ndarray) -> Rays:
+        """Rays that go on where these end. out (pixels, 3) += what these bring;  drawn (n,
+        NUMBERS)"""
         met = self.rays.nearest(rays.start, rays.direction)
         plane, plane_m = self.around.first_plane(rays.start, rays.direction)
         on_object = met.distance < plane_m
@@ -115,29 +110,19 @@ class Tracer:
         behind = self._behind(some, plane[rows], plane_m[rows])
         out[some.pixel] += np.where(some.change, -1, 1) * some.weight * behind
         rows = np.flatnonzero(on_object)
-        of_object = self._from_object(rays.of(rows), met.of(rows), drawn[rows], last, out)
+        of_object = self._from_object(rays.of(rows), met.of(rows), drawn[rows], out)
         rows = np.flatnonzero((plane >= 0) & ~on_object)
         on_plane = rays.of(rows), plane_m[rows], plane[rows], drawn[rows]
-        going_on = of_object, self._from_plane(*on_plane, last, out)
+        going_on = of_object, self._from_plane(*on_plane, out)
         return Rays(*map(np.concatenate, zip(*going_on, strict=True)))
 
     def _behind(self, rays: Rays, plane: np.ndarray, plane_m: np.ndarray) -> np.ndarray:
-        """(n, 3) radiance that is there without the object."""
-        sky = self.around.environment
-        both = rays.density + sky.density(rays.direction)
-        out = sky.radiance(rays.direction, rays.wide) * divide(rays.density, both)
-        rows = np.flatnonzero(plane >= 0)
-        positions = rays.of(rows).along(plane_m[rows])
-        out[rows] = self.around.picture(positions, plane[rows])
-        return out
+        """(n, 3) radiance that is there without the object, but for what is sampled."""
+        ends = rays.start, rays.direction, plane, plane_m
+        return self.around.radiance(*ends, rays.wide, rays.sky)
 
     def _from_object(
-        self,
-        rays: Rays,
-        met: Met,
-        drawn: np.ndarray,
-        last: bool,
-        out: np.ndarray,
+        self, rays: Rays, met: Met, drawn: np.ndarray, out: np.ndarray
     ) -> Rays:
         pixel, start, weight, change, direction, *_ = rays
         surface = self.rays.surface(met, start, direction)
@@ -145,15 +130,10 @@ class Tracer:
         normal = np.where(away, -surface.normal, surface.normal)
         start = surface.position + self.rays.lift * normal
         lamps, _ = self._lamp_light(start, normal, drawn[:, LAMP])
-        sent = surface.emission + surface.diffuse * lamps
-        if last:
-            sent += surface.reflectance * self.around.unoccluded(normal)
-        out[pixel] += weight * sent
-        if last:
-            return rays
-        lobes = MaterialLobes(normal, -direction, *surface.material)
-        change = np.zeros_like(change)
-        return self._scattered(pixel, start, weight, change, lobes, drawn, out)
+        out[pixel] += weight * (surface.emission + surface.diffuse * lamps)
+        lobes = MaterialLobes(normal, -direction, *surface[3:])
+        whole = pixel, start, weight, np.zeros_like(change)
+        return self._scattered(*whole, lobes, drawn, out)
 
     def _from_plane(
         self,
@@ -161,21 +141,18 @@ class Tracer:
         distance: np.ndarray,
         plane: np.ndarray,
         drawn: np.ndarray,
-        last: bool,
         out: np.ndarray,
     ) -> Rays:
-        pixel, _, weight, change, *_ = rays
-        positions = rays.along(distance)
+        pixel, start, weight, change, direction, *_ = rays
+        positions = start + distance[:, None] * direction
         normal = self.around.axes[plane, 3]
         start = positions + self.rays.lift * normal
         _, hidden = self._lamp_light(start, normal, drawn[:, LAMP])
         picture = self.around.picture(positions, plane)
         weight = weight * divide(picture, self.plane_light[plane])
         out[pixel] -= weight * hidden
-        if last:
-            return rays
-        lobes, change = self.plane_lobes(start, normal), np.ones_like(change)
-        return self._scattered(pixel, start, weight, change, lobes, drawn, out)
+        whole = pixel, start, weight, np.ones_like(change)
+        return self._scattered(*whole, self.plane_lobes(start, normal), drawn, out)
 
     def _scattered(
         self,
@@ -189,28 +166,22 @@ class Tracer:
     ) -> Rays:
         """Rays by the surfaces' lobes. out += light of the environment's bright parts, by samples
         of their own."""
-
-        def leaving(direction: np.ndarray) -> tuple[Rays, Reflected]:
-            reflected = lobes.at(direction)
-            wide = wide_of(reflected, lobes)
-            places = pixel, start, weight, change
-            return Rays(*places, direction, reflected.density, wide), reflected
-
-        if self.around.environment.bright:
-            self._add_sky(*leaving(self.around.environment.samples(drawn[:, SKY])), out)
-        rays, reflected = leaving(lobes.directions(drawn[:, LOBE]))
-        rays = rays._replace(weight=weight * reflected.weight)
-        return rays.of(np.flatnonzero(rays.weight.any(1)))
-
-    def _add_sky(self, rays: Rays, reflected: Reflected, out: np.ndarray) -> None:
-        """out += light of directions that were drawn from the environment."""
-        sky, direction = self.around.environment, rays.direction
-        plane, _ = self.around.first_plane(rays.start, direction)
-        hidden = self.rays.blocked(rays.start, direction)
-        counts = (plane < 0) & (hidden == rays.change[:, 0])
-        light = sky.radiance(direction, rays.wide) * counts[:, None]
-        light *= divide(reflected.total, rays.density + sky.density(direction))
-        out[rays.pixel] += np.where(rays.change, -1, 1) * rays.weight * light
+        sky = self.around.environment
+        if sky.bright:
+            direction = sky.samples(drawn[:, SKY])
+            total, density, wide = lobes.at(direction)
+            plane, _ = self.around.first_plane(start, direction)
+            hidden = self.rays.blocked(start, direction)
+            counts = (plane < 0) & (hidden == change[:, 0])
+            light = sky.radiance(direction, wide) * counts[:, None]
+            light *= divide(total, density + sky.density(direction))
+            out[pixel] += np.where(change, -1, 1) * weight * light
+        direction = lobes.directions(drawn[:, LOBE])
+        total, density, wide = lobes.at(direction)
+        weight = weight * divide(total, density)
+        share = divide(density, density + sky.density(direction))
+        rays = Rays(pixel, start, weight, change, direction, wide, share)
+        return rays.of(np.flatnonzero(weight.any(1)))
 
     def _lamp_light(
         self,
@@ -221,7 +192,8 @@ class Tracer:
         """(light of white surfaces (n, 3), what the object hides of it (n, 3)), by one ray to each
         lamp's disc."""
         received, hidden = np.zeros((2, len(start), 3))
-        on_disc = disc(numbers)
+        u, v = numbers.T[:, :, None]
+        on_disc = on_ball(np.sqrt(1 - u), v)[:, :2]
         for lamp, towards in self._lamps:
             across = frames(towards[None])[0, :2]
             size = np.tan(np.radians(lamp.angular_size_deg / 2))
@@ -234,10 +206,3 @@ class Tracer:
             hidden[rows] += light * blocked
             received[rows] += light * (~blocked & (plane < 0)[:, None])
         return received, hidden
-
-
-def wide_of(reflected: Reflected, lobes: Lobes) -> np.ndarray:
-    """(n, 3) how wide what is reflected sees the environment: 1 of what is scattered, the lobe's of
-    what is mirrored."""
-    wide = reflected.scattered + lobes.width * reflected.mirrored
-    return divide(wide, reflected.total)

@@ -23,7 +23,6 @@ import numpy as np
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, packed
-from arfx.core.light import Light
 from arfx.core.memo import memo_of
 from arfx.core.numerics import divide, normalise
 from arfx.core.pixels import Pixels
@@ -62,7 +61,7 @@ from arfx.stages.light.planes import (
     texel_positions,
 )
 from arfx.stages.light.region import shadow_region
-from arfx.stages.light.transport import Indirect, Transport, TransportLevel
+from arfx.stages.light.transport import Transport, TransportLevel
 from arfx.stages.lightmap.shading import Surface
 from arfx.stages.viewing import direction_grid, viewing
 
@@ -130,11 +129,11 @@ class Prepared:
 class LitScene:
     """What is kept while the light stays within a step.
 
-    changes : of `change_textures`;  radius_m : within which they show
+    left : of `Indirect`;  changes : of `change_textures`;  radius_m : within which they show
     received, sent (z, y, x, 3) : nodes of what falls on the object, and of what it sends
     mean (3,), sky (6 SKY^2, 3) : radiance of planes and sky, for which they are"""
 
-    indirect: Indirect
+    left: np.ndarray
     changes: list[list[PlaneTexture]]
     radius_m: float
     received: np.ndarray
@@ -159,7 +158,7 @@ class Gi(Stage):
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         model = facts.raster_box.clip(frame)
         disc, why = self._disc(facts, scene, frame)
-        mirror = self._mirror_rect(facts, scene, frame)
+        mirror = self._mirror_rect(facts, scene)
         if model.empty and disc.empty and mirror.empty:
             return Demand(EMPTY, f"model out of view; {why}")
         if not mirror.empty:
@@ -178,9 +177,8 @@ class Gi(Stage):
         if facts.light is None:
             return {"new_lights": None}
         known = in_steps(facts, facts.light)
-        return {
-            "new_lights": (repr(known.light), known.seen_environment, known.environment)
-        }
+        around = known.seen_environment, known.environment
+        return {"new_lights": (repr(known.light), *around)}
 
     def health(self, job: JobView) -> Iterable[Check]:
         return chain(seams(job), furnace(job))
@@ -205,11 +203,8 @@ class Gi(Stage):
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
         facts, scene, frame = view.facts, view.scene, view.scene.camera.rect
-        disc, mirror = (
-            self._disc(facts, scene, frame)[0],
-            self._mirror_rect(facts, scene, frame),
-        )
-        seen = _reflected_rect(facts, scene)
+        disc, _ = self._disc(facts, scene, frame)
+        mirror, seen = self._mirror_rect(facts, scene), _reflected_rect(facts, scene)
         if view.level == "reference":
             gloss = self.params.plane_gloss, PLANE_ROUGHNESS
             options = self.params.samples, self.params.strength, gloss, mirror
@@ -226,16 +221,16 @@ class Gi(Stage):
         sight = Sight(
             anchor,
             anchor.apply(view.pose.inverse().translation_m),
-            incoming.background(lit.indirect.left),
+            incoming.background(lit.left),
             prepared.transport,
             lit.sent,
             LEVELS[view.level].shows * float(divide(soft, brightest)),
         )
-        virtual = self._virtual(view, prepared, incoming, lit, sight)
-        if not disc.empty:
-            radius_m = lit.radius_m
-            shown = disc_rect(scene, incoming.planes, radius_m, view.pose, frame)
-            disc = shown if radius_m > 0 else EMPTY
+        virtual = self._virtual(view, incoming, lit, sight)
+        if not disc.empty and lit.radius_m > 0:
+            disc = disc_rect(scene, incoming.planes, lit.radius_m, view.pose, frame)
+        else:
+            disc = EMPTY
         shadow = self._shadow(view, prepared, lit, sight, disc, mirror)
         return {Layer.VIRTUAL: virtual, Layer.SHADOW: shadow}
 
@@ -247,9 +242,8 @@ class Gi(Stage):
         light = scene.light_of(known)
         up = scene.world_from_anchor.rotation[:, 2]
         exact, stepped = (a.soft_radiance(up) for a in (view.light, light))
-        times = np.clip(
-            divide(exact, stepped, where_zero=1.0), 1 / _STEPS_MOST, _STEPS_MOST
-        )
+        times = divide(exact, stepped, where_zero=1.0)
+        times = np.clip(times, 1 / _STEPS_MOST, _STEPS_MOST)
         mean = mean_in_steps(divide(incoming.mean, times))
         around = known.seen_environment, known.environment
         key = repr(light), *around, mean.tobytes()
@@ -257,14 +251,14 @@ class Gi(Stage):
         def make() -> LitScene:
             transport, planes = prepared.transport, incoming.planes
             sky = sky_radiance(known, scene, light)
-            places = len(transport.texels)
-            picture = np.broadcast_to(mean, (places, 3))
+            picture = np.broadcast_to(mean, transport.texels.shape)
             indirect = transport.solve(scene, light, picture, sky)
             changes = change_textures(indirect, transport.hidden, planes, prepared.soft)
             positions = transport.texels.reshape(*transport.hidden.shape, 3)
             radius_m = visible_radius_m(indirect, planes, positions)
             received, sent = map(transport.grid.nodes, (indirect.received, indirect.sent))
-            return LitScene(indirect, changes, radius_m, received, sent, mean, sky)
+            of_planes = indirect.left, changes, radius_m
+            return LitScene(*of_planes, received, sent, mean, sky)
 
         kept: LitScene = view.memo.of_light.get(key, make)
         return kept.brighter(times)
@@ -272,7 +266,6 @@ class Gi(Stage):
     def _virtual(
         self,
         view: View,
-        prepared: Prepared,
         incoming: IncomingLight,
         lit: LitScene,
         sight: Sight,
@@ -283,10 +276,10 @@ class Gi(Stage):
         box = model.clip(view.out).pad(1).clip(model).clip(now.rect)
         if box.empty:
             return Pixels(part, out)
-        here, transport = now.crop(box), prepared.transport
+        here, transport = now.crop(box), sight.transport
         surface = Surface(*(packed(here[Layer(name)]) for name in Surface._fields))
-        left, sky = lit.indirect.left, sky_radiance(view.facts, view.scene, view.light)
-        change = np.zeros((len(transport.texels), 3))
+        left, sky = lit.left, sky_radiance(view.facts, view.scene, view.light)
+        change = np.zeros(transport.texels.shape)
         if LEVELS[view.level].by_frame:
             change = incoming.change(lit.mean, left)
         more = transport.more_from_around(change, sky - lit.sky)
@@ -361,34 +354,29 @@ class Gi(Stage):
             change = weight[:, None] * (sent - behind) / np.maximum(light[at], DARKEST)
             shadow[at] = np.clip(shadow[at] + change, 0, None)
 
-    def _mirror_rect(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Rect:
+    def _mirror_rect(self, facts: FrameFacts, scene: Scene) -> Rect:
         """Pixels in which glossy planes can mirror the object."""
         if self.params.plane_gloss <= 0 or self.params.strength <= 0:
             return EMPTY
-        tangent = float(mirror_tangent(PLANE_ROUGHNESS))
+        tangent, frame = float(mirror_tangent(PLANE_ROUGHNESS)), scene.camera.rect
         return mirror_rect(scene, planes_of(scene), tangent, facts.pose, frame)
 
     def _disc(self, facts: FrameFacts, scene: Scene, frame: Rect) -> tuple[Rect, str]:
         """Pixels of the real planes that may change, and why those or none."""
         if self.params.strength <= 0:
             return EMPTY, "planes left alone"
-        radius = self._radius_m(scene.light_of(facts), scene)
-        if radius <= 0:
-            return EMPTY, "no indirect light on the plane"
-        rect = disc_rect(scene, planes_of(scene), radius, facts.pose, frame)
-        if rect.empty:
-            return rect, "plane out of view or seen from behind"
-        return rect, f"plane changes by half a grey level within {100 * radius:.0f} cm"
-
-    def _radius_m(self, light: Light, scene: Scene) -> float:
-        """Of the disc on the planes; 0 where there is no indirect light at all."""
+        light, planes = scene.light_of(facts), planes_of(scene)
         up = scene.world_from_anchor.rotation[:, 2]
         soft, total = light.soft_radiance(up).max(), light.radiance(up).max()
         glow = max(max(p.material.emissive) for p in scene.model.parts)
         peak = float(soft) + sum(max(li.rgb) for li in light.lights) + glow
         if peak <= 0:
-            return 0.0
-        return disc_radius_m(scene, planes_of(scene), peak / max(float(total), 1e-3))
+            return EMPTY, "no indirect light on the plane"
+        radius = disc_radius_m(scene, planes, peak / max(float(total), 1e-3))
+        rect = disc_rect(scene, planes, radius, facts.pose, frame)
+        if rect.empty:
+            return rect, "plane out of view or seen from behind"
+        return rect, f"plane changes by half a grey level within {100 * radius:.0f} cm"
 
 
 def _reflected_rect(facts: FrameFacts, scene: Scene) -> Rect:

@@ -83,13 +83,13 @@ def neighbours(
     sharp = np.float32(1 / REACH**2) / (size[order] ** 2)
     sites = np.stack([*(places - corner[:, None]).take(order, 1), sharp])
     grid = start, order, np.float32(side), rows, columns
-    parallel_rows(lambda a, b: _find_neighbours(sites, grid, a, b, near, weight), n)
+    parallel_rows(partial(_find_neighbours, sites, grid, near, weight), n)
     return near, weight
 
 
 @kernel(fastmath=FAST, error_model="numpy")
 def _find_neighbours(
-    sites, grid, first, last, near, weight
+    sites, grid, near, weight, first, last
 ):  # pragma: no cover - compiled
     """Of the sites first ... last - 1 of the buckets' order.
 
@@ -196,5 +196,4 @@ def adjust_tone(
     thin = 1 - (1 - np.minimum(root, 1)) ** (1 + lightness)  # rounding may pass 1
     thin = deepest + (1 - deepest) * thin
     grey = (thin @ _LUMA)[:, None]
-    out: np.ndarray = np.clip(grey + saturation * (thin - grey), 0, 1).astype(np.float32)
-    return out
+    return np.asarray(np.clip(grey + saturation * (thin - grey), 0, 1).astype(np.float32))

@@ -43,14 +43,10 @@ def real_dioptre(depth_m: np.ndarray, field: SiteField) -> np.ndarray:
     dioptre = divide(1.0, np.maximum(few, EPS_DEPTH_M)).astype(np.float32)
     side = 2 * GRID_PX // _EVERY_PX + 1
     mean = cv2.blur(dioptre, (side, side), borderType=cv2.BORDER_REPLICATE).reshape(h, w)
-    i, j = (
-        (start + GRID_PX * np.arange(nodes) + 0.5) * few_ / many
-        for start, nodes, few_, many in zip(
-            (field.y0, field.x0), field.u.shape, (h, w), depth_m.shape, strict=True
-        )
-    )
-    row, column = np.clip(i, 0, h - 1).astype(int), np.clip(j, 0, w - 1).astype(int)
-    return mean[row[:, None], column].astype(float)
+    x, y = field.nodes()
+    row = np.clip((y + 0.5) * h / depth_m.shape[0], 0, h - 1).astype(int)
+    column = np.clip((x + 0.5) * w / depth_m.shape[1], 0, w - 1).astype(int)
+    return mean[row, column].astype(float)
 
 
 def frame_field(
@@ -84,8 +80,7 @@ def detail_factor(detail: np.ndarray) -> np.ndarray:
     """(gh, gw) factor on the size of cells: larger where there is little to see, smaller where
     there is much. detail : (gh, gw) 0..255"""
     fraction = np.minimum(detail / (255 * _MUCH), 1.0)
-    out: np.ndarray = 2.0 ** (_EVEN_LEVELS - (_EVEN_LEVELS + _DETAIL_LEVELS) * fraction)
-    return out
+    return np.asarray(2.0 ** (_EVEN_LEVELS - (_EVEN_LEVELS + _DETAIL_LEVELS) * fraction))
 
 
 def nearness(
@@ -98,10 +93,7 @@ def nearness(
         return None if dioptre is None else divide(dioptre, float(dioptre.mean()), 1.0)
     camera_from_anchor = pose @ scene.world_from_anchor
     if dioptre is None:
-        gh, gw = field.u.shape
-        x = field.x0 + GRID_PX * np.arange(gw)
-        y = field.y0 + GRID_PX * np.arange(gh)[:, None]
-        dioptre = plane_dioptre(x, y, scene.camera, camera_from_anchor)
+        dioptre = plane_dioptre(*field.nodes(), scene.camera, camera_from_anchor)
     return dioptre * marker_depth_m(camera_from_anchor)
 
 
@@ -127,14 +119,11 @@ def plane_dioptre(
 def nearness_limits(strength: float) -> tuple[float, float]:
     """Least and greatest nearness that counts: a cell is _COARSEST and _FINEST times as large
     there."""
-    low, high = (
-        b ** min(1 / strength, 100.0) for b in (_FINEST, _COARSEST)
-    )  # below a strength of 0.01 sizes hardly differ
-    return 1 / high, 1 / low
+    power = min(1 / strength, 100.0)  # below a strength of 0.01 sizes hardly differ
+    return 1 / _COARSEST**power, 1 / _FINEST**power
 
 
 def nearness_factor(near: np.ndarray, strength: float) -> np.ndarray:
     """Factor on the size of cells. near : depth of the marker / depth;  strength : > 0, 1 = size in
     proportion to depth"""
-    out: np.ndarray = np.clip(near, *nearness_limits(strength)) ** -strength
-    return out
+    return np.asarray(np.clip(near, *nearness_limits(strength)) ** -strength)

@@ -11,6 +11,7 @@ cones."""
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -53,21 +54,20 @@ class Labels:
     inside: np.ndarray
     count: int
 
-    def overlaid(self, other: Labels, where: np.ndarray, row: int, column: int) -> Labels:
+    def overlaid(
+        self, other: Labels, where: np.ndarray, part: tuple[slice, slice]
+    ) -> Labels:
         """With those of `other`, numbered on from these, at its pixels `where`.
 
-        other : labels of a part that begins at (row, column)"""
+        other : labels of this part, rows and columns"""
         arrays = []
         for name, start in (("first", self.count), ("second", self.count), ("inside", 0)):
             array = getattr(self, name).copy()
             if array.size:
-                height, width = where.shape
-                part = array[row : row + height, column : column + width]
-                np.add(
-                    getattr(other, name), start, out=part, where=where, casting="unsafe"
-                )
+                np.copyto(array[part], getattr(other, name) + start, where=where)
             arrays.append(array)
-        return Labels(arrays[0], arrays[1], arrays[2], self.count + other.count)
+        first, second, inside = arrays
+        return Labels(first, second, inside, self.count + other.count)
 
 
 class Wobble(NamedTuple):
@@ -90,10 +90,8 @@ def make_wobble(tile: np.ndarray) -> Wobble:
     squares = tile.reshape(2, n, TILE, n, TILE).transpose(1, 3, 0, 2, 4)
     squares = squares + np.stack(np.broadcast_arrays(own, own[:, None]))
     positions = np.ascontiguousarray(squares, np.float32).reshape(n, n, 2, PIXELS)
-    low = positions.min(-1)
-    high = positions.max(-1)
-    boxes = np.concatenate([(low + high) / 2, (high - low) / 2], -1)
-    return Wobble(positions, np.ascontiguousarray(boxes, np.float32))
+    low, high = positions.min(-1), positions.max(-1)
+    return Wobble(positions, np.concatenate([(low + high) / 2, (high - low) / 2], -1))
 
 
 STILL = make_wobble(np.zeros((2, TILE, TILE)))
@@ -134,8 +132,7 @@ def label(
     blend_px : as in Labels, 0 = no borders
     mask (h, w) bool : only these are asked for, the others hold anything; empty = all
     Without a site every pixel is labelled 0 and count is 1."""
-    n = len(sites)
-    shape = rect.height, rect.width
+    n, shape = len(sites), (rect.height, rect.width)
     of_borders = shape if blend_px > 0 else (0, 0)
     first = np.zeros(shape, np.int32)
     second = np.zeros(of_borders, np.int32)
@@ -143,20 +140,15 @@ def label(
     if n == 0 or rect.empty:
         return Labels(first, second, inside, max(n, 1))
     buckets, x, y = _bucketed(sites, rect, wobble)
-    order = buckets.order
     # its tile (0, 0) is the first one in rect
     column, row = (wobble.x + rect.x0 + x) // TILE, (wobble.y + rect.y0 + y) // TILE
     moved = wobble._replace(x=column, y=row)
-    blend = np.float32(blend_px * STEPS)
-    out = (first, second, inside)
+    blend, out = np.float32(blend_px * STEPS), (first, second, inside)
 
-    def rows(a: int, b: int) -> None:
-        _label_rows(buckets, moved, blend, mask, (x, y), a, b, out)
-
-    parallel_rows(rows, rect.height - y, TILE)
-    if (order[1:] < order[:-1]).any():
-        first = order[first]
-        second = order[second]
+    label_rows = partial(_label_rows, buckets, moved, blend, mask, (x, y), out)
+    parallel_rows(label_rows, rect.height - y, TILE)
+    if (np.diff(buckets.order) < 0).any():
+        first, second = buckets.order[first], buckets.order[second]
     return Labels(first, second, inside, n)
 
 
@@ -186,7 +178,7 @@ def bucket_sites(sx, sy, x0, y0, side, rows, columns):  # pragma: no cover - com
 
 @kernel()
 def _label_rows(
-    buckets: Buckets, wobble: Wobble, blend, mask, corner, y_first, y_last, out
+    buckets: Buckets, wobble: Wobble, blend, mask, corner, out, y_first, y_last
 ):  # pragma: no cover - compiled
     """Rows y_first ... y_last - 1 of tiles that begin at `corner`. out : of `Labels`
 

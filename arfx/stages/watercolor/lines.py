@@ -7,6 +7,7 @@ Source: Jia, Tang 2013, eq. 2-4; docs/methods/watercolor.md#edges."""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import cv2
@@ -58,44 +59,33 @@ def measure_edges(
     """Edges of a picture (h, w, 3) float32 linear; the grid is (ceil(h / 2), ceil(w / 2)).
 
     smooth_px : sigma, px of the picture"""
-    odd_rows = image.shape[0] % 2
-    odd_columns = image.shape[1] % 2
+    border = cv2.BORDER_REPLICATE
+    odd_rows, odd_columns = image.shape[0] % 2, image.shape[1] % 2
     if odd_rows or odd_columns:
-        image = cv2.copyMakeBorder(
-            image, 0, odd_rows, 0, odd_columns, cv2.BORDER_REPLICATE
-        )
-    height = image.shape[0] // 2
-    width = image.shape[1] // 2
+        image = cv2.copyMakeBorder(image, 0, odd_rows, 0, odd_columns, border)
+    height, width = image.shape[0] // 2, image.shape[1] // 2
     # at half the size the mean of 2 x 2, as INTER_AREA's, in half its time
     half = cv2.resize(image, (width, height), interpolation=cv2.INTER_LINEAR)
     half = half.reshape(height, width, 3)
     coded = np.sqrt(np.clip(half, 0, 1, out=half), out=half)  # near to coded values
     sigma = max(smooth_px / 2, 0.3)
     taps = 2 * int(np.ceil(3.3 * sigma)) + 1
-    smooth = cv2.GaussianBlur(coded, (taps, taps), sigma, borderType=cv2.BORDER_REPLICATE)
-    padded = cv2.copyMakeBorder(smooth, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
+    smooth = cv2.GaussianBlur(coded, (taps, taps), sigma, borderType=border)
+    padded = cv2.copyMakeBorder(smooth, 1, 1, 1, 1, border)
     planes = np.stack(cv2.split(padded))
     edges = Edges(*np.empty((3, height, width), np.float32))
     channels = np.concatenate([np.eye(3), yuv_matrix()]).astype(np.float32)
-    of_rgb = (1 - beta) / 3
-    shares = (
-        of_rgb,
-        of_rgb,
-        of_rgb,
-        beta * (1 - alpha),
-        beta * alpha / 2,
-        beta * alpha / 2,
-    )
-    share = np.array(shares, np.float32)
-    parallel_rows(
-        lambda a, b: _measure_rows(planes, channels, share, a, b, edges), height
-    )
+    of_rgb, of_y, of_uv = (1 - beta) / 3, beta * (1 - alpha), beta * alpha / 2
+    share = np.repeat([of_rgb, of_y, of_uv], [3, 1, 2]).astype(np.float32)
+
+    measure_rows = partial(_measure_rows, planes, channels, share, edges)
+    parallel_rows(measure_rows, height)
     return edges
 
 
 @kernel(fastmath=FAST, error_model="numpy")
 def _measure_rows(
-    planes, channels, share, first, last, out
+    planes, channels, share, out, first, last
 ):  # pragma: no cover - compiled
     """Rows first ... last - 1, from central differences. planes (3, h + 2, w + 2) : R', G', B'
 
@@ -109,19 +99,15 @@ def _measure_rows(
             ry = half * (planes[0, y + 2, x + 1] - planes[0, y, x + 1])
             gy = half * (planes[1, y + 2, x + 1] - planes[1, y, x + 1])
             by = half * (planes[2, y + 2, x + 1] - planes[2, y, x + 1])
-            measure = _F(0)
-            most = _F(1e-6)
-            across_x = _F(0)
-            across_y = _F(0)
+            measure, most = _F(0), _F(1e-6)
+            across_x, across_y = _F(0), _F(0)
             for k in range(6):
                 dx = channels[k, 0] * rx + channels[k, 1] * gx + channels[k, 2] * bx
                 dy = channels[k, 0] * ry + channels[k, 1] * gy + channels[k, 2] * by
                 strength = np.sqrt(dx * dx + dy * dy)
                 measure += share[k] * strength
                 if k < 3 and strength > most:  # the strongest channel's direction
-                    most = strength
-                    across_x = dx
-                    across_y = dy
+                    most, across_x, across_y = strength, dx, dy
             out.measure[y, x] = measure
             out.across_x[y, x] = across_x / most
             out.across_y[y, x] = across_y / most
@@ -137,10 +123,8 @@ def object_edges(
     layers = coverage, normal, depth
     covered, normals, depths = (np.ascontiguousarray(a[::2, ::2]) for a in layers)
     edge = np.zeros(covered.shape, np.float32)
-    for axis in (
-        0,
-        1,
-    ):  # each pixel of the grid beside its neighbour below and on the right
+    # each pixel of the grid beside its neighbour below and on the right
+    for axis in range(2):
         beside = np.minimum(np.arange(covered.shape[axis]) + 1, covered.shape[axis] - 1)
         other, other_depth = covered.take(beside, axis), depths.take(beside, axis)
         cosine = cv2.transform(normals * normals.take(beside, axis), np.ones((1, 3)))
@@ -182,11 +166,8 @@ def trace_lines(edges: Edges, low: float, high: float, width_px: float) -> np.nd
     low, high : below low there is no line, a line that nowhere reaches high fades as a whole
     width_px : of a line, px of the picture"""
     strength = np.zeros(edges.measure.shape, np.float32)
-    offset = _F(max(width_px / 2, 0.75))
-    limits = _F(low), _F(high)
-    parallel_rows(
-        lambda a, b: _trace_rows(edges, offset, *limits, a, b, strength), len(strength)
-    )
+    how = _F(max(width_px / 2, 0.75)), _F(low), _F(high), strength
+    parallel_rows(partial(_trace_rows, edges, *how), len(strength))
     # hysteresis: a line is as strong as its strongest pixel
     line = strength > 0
     count, parts = cv2.connectedComponents(line.view(np.uint8), ltype=cv2.CV_32S)
@@ -201,7 +182,7 @@ def trace_lines(edges: Edges, low: float, high: float, width_px: float) -> np.nd
 
 @kernel(fastmath=FAST, error_model="numpy")
 def _trace_rows(
-    edges, offset, low, high, first, last, out
+    edges, offset, low, high, out, first, last
 ):  # pragma: no cover - compiled
     """Strength before hysteresis: where the measure is larger than `offset` px to both sides."""
     zero = _F(0)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arfx.core.numerics import EPS_DEPTH_M, normalise
+from arfx.core.numerics import EPS_DEPTH_M, normalise, same_rows
 from arfx.core.pose import Pose
 from arfx.core.scene import Scene
 from arfx.stages.watercolor.field import marker_depth_m, nearness_limits
@@ -23,9 +23,8 @@ POINTS = 16000
 _LEVELS = 9
 _FAR_PX = 1e5  # where points lie that have no place in the picture's plane
 _GRAZING = 0.2  # cosine to the viewer below which a point fades: it is about to turn away
-_UNROLLED = np.array(
-    [[1.0, 0.0], [0.0, 1.0], [0.6, 0.4]]
-)  # places on the surface, from space
+# places on the surface, from space
+_UNROLLED = np.array([[1.0, 0.0], [0.0, 1.0], [0.6, 0.4]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,15 +48,13 @@ def sample_surface(scene: Scene, seed: int) -> SurfacePoints:
     if not area.sum() > 0:
         return SurfacePoints(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), extent)
     rng = np.random.default_rng([seed, 0x0B1E])
-    at = np.searchsorted(np.cumsum(area) / area.sum(), rng.random(POINTS)).clip(
-        0, len(area) - 1
-    )
+    at = np.searchsorted(np.cumsum(area) / area.sum(), rng.random(POINTS))
+    at = at.clip(0, len(area) - 1)
     s, t = rng.random((2, POINTS, 1))
     s, t = np.where(s + t > 1, (1 - s, 1 - t), (s, t))
     points = first[at] + s * (second - first)[at] + t * (third - first)[at]
-    return SurfacePoints(
-        points, normalise(across[at]), _importance(points, extent), extent
-    )
+    normals, importance = normalise(across[at]), _importance(points, extent)
+    return SurfacePoints(points, normals, importance, extent)
 
 
 def _importance(points: np.ndarray, extent: float) -> np.ndarray:
@@ -69,18 +66,15 @@ def _importance(points: np.ndarray, extent: float) -> np.ndarray:
     low = points.min(0) - 0.137 * extent
     for level in range(_LEVELS + 1):
         cell = np.floor((points[first] - low) / 2.0 ** (finest + level)).astype(np.int64)
-        _, inverse = np.unique(cell, axis=0, return_inverse=True)
-        inverse = inverse.ravel()
-        order = np.lexsort((first, inverse))
-        begins = np.flatnonzero(np.r_[True, np.diff(inverse[order]) != 0])
-        count = np.diff(np.r_[begins, len(order)])
+        _, number = same_rows(cell)
+        order, count = np.argsort(number, kind="stable"), np.bincount(number)
+        begins = np.cumsum(count) - count
         rank = np.arange(len(order)) - np.repeat(begins, count)
         # of k parts that hold a point, the one of rank r appears where the cell should hold r + 1/2
         # of them
         parts = np.repeat(np.maximum(count, 2), count)
-        out[first[order]] = (
-            finest + level - np.log(rank + 0.5 + 0.5 * (rank == 0)) / np.log(parts)
-        )
+        later = np.log(rank + 0.5 + 0.5 * (rank == 0)) / np.log(parts)
+        out[first[order]] = finest + level - later
         first = np.sort(first[order[begins]])
     out[first] = np.inf
     return out
@@ -101,35 +95,29 @@ def object_sites(
     """
     camera = scene.camera
     eye = camera_from_world.inverse().translation_m
-    depth = (
-        surface.points @ camera_from_world.rotation[2]
-        + camera_from_world.translation_m[2]
-    )
-    facing = np.einsum("ij,ij->i", eye - surface.points, surface.normals)
-    keep = np.flatnonzero((depth > EPS_DEPTH_M) & (facing > 0))
-    level = np.log2(depth[keep])
+    seen = camera_from_world.apply(surface.points)
+    towards = eye - surface.points
+    facing = (towards * surface.normals).sum(1)
+    keep = np.flatnonzero((seen[:, 2] > EPS_DEPTH_M) & (facing > 0))
+    level = np.log2(seen[keep, 2])
     larger = np.zeros(len(keep))
     if nearer_finer > 0:
         least, most = np.log2(nearness_limits(nearer_finer))
         marker_m = marker_depth_m(camera_from_world @ scene.world_from_anchor)
         larger = -nearer_finer * np.clip(np.log2(marker_m) - level, least, most)
-    wanted = (
-        level + np.log2(cell_px / camera.fx) + larger
-    )  # log2 of the size of a cell, metres
+    # log2 of the size of a cell, metres
+    wanted = level + np.log2(cell_px / camera.fx) + larger
     grown = (surface.importance[keep] - wanted) / FADE + 0.5
     grows = grown > 0
-    keep = keep[grows]
-    grown = grown[grows]
-    factor = 2.0 ** larger[grows]
-    points = surface.points[keep]
-    turned = facing[keep] / np.linalg.norm(eye - points, axis=-1) / _GRAZING
-    pixel = camera.project(camera_from_world.apply(points))
+    keep, grown, factor = keep[grows], grown[grows], 2.0 ** larger[grows]
+    turned = facing[keep] / np.linalg.norm(towards[keep], axis=-1) / _GRAZING
+    pixel = camera.project(seen[keep])
     pixel = np.clip(np.where(np.isfinite(pixel), pixel, _FAR_PX), -_FAR_PX, _FAR_PX)
     x, y = np.rint(pixel * STEPS).T.astype(np.float32)
     size = np.zeros(len(surface.points), np.float32)
     size[keep] = cell_px * factor
     fade = np.minimum(grown, 1) * np.minimum(turned, 1)
     weight = -np.rint((1 - fade) * (1.2 * STEPS * cell_px * factor) ** 2)
-    places = points @ _UNROLLED * (4 * FLOW_PX / surface.extent_m)
+    places = surface.points[keep] @ _UNROLLED * (4 * FLOW_PX / surface.extent_m)
     u, v = places.T.astype(np.float32)
     return Sites(x, y, weight.astype(np.float32), keep, u, v), size

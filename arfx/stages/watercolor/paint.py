@@ -6,6 +6,8 @@ Source: docs/methods/watercolor.md#pigment; pigment itself is in pigment.py."""
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from arfx.core.compiled import FAST, kernel
@@ -44,16 +46,14 @@ def painted(
     out = np.empty(image.shape, np.float32)
     layers = labels.first, labels.second, labels.inside
 
-    def rows(a: int, b: int) -> None:
-        _paint_rows(image, layers, cells, how, paper, corner, lines, a, b, out)
-
-    parallel_rows(rows, len(out))
+    of_rows = image, layers, cells, how, paper, corner, lines, out
+    parallel_rows(partial(_paint_rows, *of_rows), len(out))
     return out
 
 
 @kernel(fastmath=FAST, error_model="numpy")
 def _paint_rows(
-    image, labels, cells, how, paper, corner, lines, first, last, out
+    image, labels, cells, how, paper, corner, lines, out, first, last
 ):  # pragma: no cover - compiled
     """`painted` of rows first ... last - 1"""
     own_cell, next_cell, inside = labels

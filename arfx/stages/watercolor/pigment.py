@@ -29,8 +29,7 @@ def smooth_noise(side: int, wavelength_px: float, rng: np.random.Generator) -> n
     fx = np.fft.rfftfreq(side)[None]
     f = np.hypot(fx, fy) * wavelength_px
     picture = np.fft.irfft2(spectrum * f * np.exp(-f * f), (side, side))
-    noise: np.ndarray = picture / max(float(picture.std()), 1e-12)
-    return noise
+    return np.asarray(picture / max(float(picture.std()), 1e-12))
 
 
 def paper_grain(seed: int) -> np.ndarray:
@@ -39,22 +38,18 @@ def paper_grain(seed: int) -> np.ndarray:
     rng = np.random.default_rng([seed, 0x9A9E])
     bumps = smooth_noise(PAPER_PX, GRAIN_PX * 2, rng)
     felt = smooth_noise(PAPER_PX, GRAIN_PX * 5, rng)
-    height: np.ndarray = np.tanh(0.45 * (0.8 * bumps + 0.5 * felt)).astype(np.float32)
-    return height
+    return np.asarray(np.tanh(0.45 * (0.8 * bumps + 0.5 * felt)).astype(np.float32))
 
 
 def wobble_tile(
-    seed: int,
-    amplitude_px: float,
-    wavelength_px: float,
-    first: tuple[float, float] = (0.0, 0.0),
+    seed: int, amplitude_px: float, first: tuple[float, float] = (0.0, 0.0)
 ) -> np.ndarray:
     """(2, WOBBLE_PX, WOBBLE_PX) float32 displacement, in whole 1/STEPS px, that repeats without a
     seam. first : (x, y) px of the noise at which the first pixel lies"""
     fy = np.fft.fftfreq(WOBBLE_PX)[:, None]
     fx = np.fft.rfftfreq(WOBBLE_PX)[None]
     turn = np.exp(2j * np.pi * (fy * first[1] + fx * first[0]))
-    spectra = _wobble_spectra(seed, wavelength_px)
+    spectra = _wobble_spectra(seed, 4 * amplitude_px + 6)
     tile = np.fft.irfft2(spectra * turn, (WOBBLE_PX, WOBBLE_PX)) * (amplitude_px / 2)
     out: np.ndarray = np.round(np.clip(tile, -amplitude_px, amplitude_px) * STEPS)
     return out.astype(np.float32)

@@ -11,6 +11,7 @@ docs/methods/watercolor.md#sites; nesting and fading replace its fixed grid. Cos
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
@@ -66,7 +67,13 @@ class SiteField:
     v: np.ndarray
     size: np.ndarray
 
-    def key(self) -> tuple[int, int, bytes, bytes, bytes]:
+    def nodes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Columns (gw,) and rows (gh, 1) px of the frame at which they are."""
+        rows, columns = self.u.shape
+        y = self.y0 + GRID_PX * np.arange(rows)[:, None]
+        return self.x0 + GRID_PX * np.arange(columns), y
+
+    def key(self) -> Hashable:
         """What its content is known by."""
         return self.x0, self.y0, self.u.tobytes(), self.v.tobytes(), self.size.tobytes()
 

@@ -62,7 +62,7 @@ from arfx.stages.watercolor.sites import (
     make_sites,
 )
 from arfx.stages.watercolor.toon import EVEN, replace_lit, tones, toon_light
-from arfx.stages.watercolor.wobble import Wobbles
+from arfx.stages.watercolor.wobble import Wobbles, field_shift, object_shift
 
 BLEND_PX = 1.5  # from a cell's border, over which alike colours run into each other
 _OBJECT_CELL = 0.8  # size of the object's cells, of the background's
@@ -132,12 +132,12 @@ class Watercolor(Stage):
         )
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
-        rect = view.rect
         picture = self.with_toon(view)
         lines = self.lines_of(view, picture)
         cells = self.cells_of(view, prepared)
         paint = self._mixed(view.level, prepared, cells, picture)
-        paint_on = partial(painted, picture, lines, (rect.x0, rect.y0), *paint)
+        corner = view.rect.x0, view.rect.y0
+        paint_on = partial(painted, picture, lines, corner, *paint)
         image = reduce(iadd, map(paint_on, cells.labels))
         image /= np.float32(len(cells.labels))
         return {Layer.IMAGE: image}
@@ -146,9 +146,7 @@ class Watercolor(Stage):
 
     def with_toon(self, view: View) -> np.ndarray:
         """(h, w, 3) float32: the picture with the object toon-shaded, read-only."""
-        p = self.params
-        image = view[Layer.IMAGE]
-        box = _object_box(view)
+        p, image, box = self.params, view[Layer.IMAGE], _object_box(view)
         if not p.toon or box.empty:
             return packed(image)
         part = view.layers.crop(box)
@@ -165,30 +163,24 @@ class Watercolor(Stage):
         flat = lit * part[Layer.ALBEDO]
         flat += part[Layer.EMISSIVE]
         flat *= cv2.merge([part[Layer.COVERAGE]] * 3)
-        out = image.copy()
-        at = box.slices_in(view.rect)
+        out, at = image.copy(), box.slices_in(view.rect)
         out[at] = replace_lit(out[at], part[Layer.VIRTUAL], flat, view.facts.opacity)
         return packed(out)
 
     def lines_of(self, view: View, picture: np.ndarray) -> np.ndarray:
         """(h, w) float32 strength of lines. picture : of `with_toon`"""
-        p = self.params
-        rect = view.rect
+        p, rect = self.params, view.rect
         if p.lines <= 0:
             return np.zeros((rect.height, rect.width), np.float32)
         edges = measure_edges(picture)
-        seen = _object_box(view)
-        if not seen.empty:
-            # with nothing of the object around it, from an even pixel on
-            corner = (
-                max((seen.x0 - rect.x0) // 2 - 1, 0),
-                max((seen.y0 - rect.y0) // 2 - 1, 0),
-            )
-            x0, y0 = rect.x0 + 2 * corner[0], rect.y0 + 2 * corner[1]
-            part = view.layers.crop(Rect(x0, y0, seen.x1 + 2, seen.y1 + 2).clip(rect))
+        # with nothing of the object around it, from an even pixel on
+        box = _object_box(view).shift(-rect.x0, -rect.y0).pad(2).align(2, 2)
+        box = box.clip(Rect.of(rect.width, rect.height))
+        if not box.empty:
+            part = view.layers.crop(box.shift(rect.x0, rect.y0))
             shape = part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.DEPTH]
             of_object = object_edges(*shape, view.facts.opacity)
-            add_object_edges(edges, of_object, *corner, p.line_high)
+            add_object_edges(edges, of_object, box.x0 // 2, box.y0 // 2, p.line_high)
         lines = trace_lines(edges, p.line_low, p.line_high, p.line_width_px)
         return enlarge_lines(lines, rect.height, rect.width)
 
@@ -205,10 +197,9 @@ class Watercolor(Stage):
         if not inside.any():
             return cells
         own = self._object_cells(view, prepared, pose, box, inside)
-        row = box.y0 - view.rect.y0
-        column = box.x0 - view.rect.x0
         pairs = zip(cells.labels, own.labels, strict=True)
-        labels = tuple(back.overlaid(front, inside, row, column) for back, front in pairs)
+        part = box.slices_in(view.rect)
+        labels = tuple(back.overlaid(front, inside, part) for back, front in pairs)
         # neighbours within the object only: paint does not run over its outline
         count = np.int32(cells.labels[0].count)
         near = np.concatenate([cells.near, own.near + count])
@@ -216,24 +207,22 @@ class Watercolor(Stage):
         return CellSet(labels, np.concatenate([cells.flow, own.flow]), near, weight)
 
     def field_of(self, view: View) -> tuple[SiteField, Pose | None]:
-        p, real_m = self.params, None
-        if p.nearer_finer > 0 and view.facts.real_depth is not None:
-            real_m = view[Layer.REAL_DEPTH]
+        p = self.params
+        deep = p.nearer_finer > 0 and view.facts.real_depth is not None
+        real_m = view[Layer.REAL_DEPTH] if deep else None
         return frame_field(view.facts, view.scene, p.cell_px, p.nearer_finer, real_m)
 
     def _background_cells(
         self, view: View, prepared: Prepared, field: SiteField
     ) -> CellSet:
-        cell_px = self.params.cell_px
-        rect = view.rect
-        seed = view.scene.seed
+        cell_px, rect, seed = self.params.cell_px, view.rect, view.scene.seed
         area = view.scene.camera.rect.area
         # more cells than pixels tell nothing apart
         limit = int(min(2 * area + 4096, 12 * area / cell_px**2 + 65536))
 
         def make() -> CellSet:
             # borders stray with the things, as far as one shift of the whole picture can say
-            wobble = partial(prepared.wobbles.of_field, field)
+            wobble = partial(prepared.wobbles.at, *field_shift(field))
             sites = make_sites(field, seed, limit, cell_px)
             size = partial(_size_at, field)
             return self._cell_set(view.level, sites, rect, wobble, size, seed)
@@ -245,12 +234,12 @@ class Watercolor(Stage):
         self, view: View, prepared: Prepared, pose: Pose, box: Rect, inside: np.ndarray
     ) -> CellSet:
         """inside (h, w) bool : pixels of `box` that the object mostly covers"""
-        p = self.params
-        scene = view.scene
+        p, scene = self.params, view.scene
 
         def make() -> CellSet:
             origin_m = scene.world_from_anchor.translation_m
-            wobble = partial(prepared.wobbles.of_object, scene.camera, pose, origin_m)
+            shift = object_shift(scene.camera, pose, origin_m)
+            wobble = partial(prepared.wobbles.at, *shift)
             how = pose, _OBJECT_CELL * p.cell_px, p.nearer_finer
             sites, sizes = object_sites(prepared.surface, scene, *how)
             what = wobble, lambda sorted_: sizes[sorted_.key], scene.seed + 1, inside
@@ -316,9 +305,8 @@ def _places(level: str) -> list[Place]:
 
 def _size_at(field: SiteField, sites: Sites) -> np.ndarray:
     """(n,) float32 size of cells at the sites, px: that of the nearest node."""
-    starts, places = (field.y0, field.x0), (sites.y, sites.x)
-    nearest = tuple(
-        np.rint((along / STEPS - start) / GRID_PX).astype(int).clip(0, n - 1)
-        for along, start, n in zip(places, starts, field.size.shape, strict=True)
-    )
+    rows, columns = field.size.shape
+    row = np.rint((sites.y / STEPS - field.y0) / GRID_PX).astype(int)
+    column = np.rint((sites.x / STEPS - field.x0) / GRID_PX).astype(int)
+    nearest = row.clip(0, rows - 1), column.clip(0, columns - 1)
     return field.size[nearest].astype(np.float32)

@@ -19,7 +19,7 @@ from arfx.core.memo import Memo
 from arfx.core.pose import Pose
 from arfx.stages.watercolor.labels import STILL, Wobble, make_wobble
 from arfx.stages.watercolor.pigment import wobble_tile
-from arfx.stages.watercolor.sites import GRID_PX, Place, SiteField
+from arfx.stages.watercolor.sites import Place, SiteField
 
 PARTS = 4  # of a pixel
 _FAR_PX = 1e6
@@ -42,33 +42,25 @@ class Wobbles:
         x = round(x_px * PARTS) / PARTS + place[0]
         y = round(y_px * PARTS) / PARTS + place[1]
         between = x % 1, y % 1
-        wobble: Wobble = self._memo.get(between, lambda: self._make(between), most=64)
+
+        def make() -> Wobble:
+            return make_wobble(wobble_tile(self.seed, self.amplitude_px, between))
+
+        wobble: Wobble = self._memo.get(between, make, most=64)
         return wobble._replace(x=floor(x), y=floor(y))
 
-    def _make(self, between: Place) -> Wobble:
-        wavelength_px = 4 * self.amplitude_px + 6
-        return make_wobble(
-            wobble_tile(self.seed, self.amplitude_px, wavelength_px, between)
-        )
 
-    def of_field(self, where: SiteField, place: Place = (0.0, 0.0)) -> Wobble:
-        """Moved with what is painted."""
-        rows, columns = where.u.shape
-        x = where.x0 + GRID_PX * np.arange(columns)
-        y = where.y0 + GRID_PX * np.arange(rows)[:, None]
-        return self.at(
-            float(np.median(where.u - x)), float(np.median(where.v - y)), place
-        )
+def field_shift(where: SiteField) -> tuple[float, float]:
+    """(x, y) px at which what is painted lies that pixel (0, 0) shows, or would."""
+    x, y = where.nodes()
+    return float(np.median(where.u - x)), float(np.median(where.v - y))
 
-    def of_object(
-        self,
-        camera: Camera,
-        camera_from_world: Pose,
-        origin_m: np.ndarray,
-        place: Place = (0.0, 0.0),
-    ) -> Wobble:
-        """Moved with the object. origin_m (3,) WORLD"""
-        x, y = camera.project(camera_from_world.apply(origin_m[None]))[0]
-        if not (abs(x) < _FAR_PX and abs(y) < _FAR_PX):  # not in front of the camera
-            x, y = 0.0, 0.0
-        return self.at(-x, -y, place)
+
+def object_shift(
+    camera: Camera, camera_from_world: Pose, origin_m: np.ndarray
+) -> tuple[float, float]:
+    """(x, y) px of pixel (0, 0) from the object's origin (3,), WORLD."""
+    x, y = camera.project(camera_from_world.apply(origin_m[None]))[0]
+    if not (abs(x) < _FAR_PX and abs(y) < _FAR_PX):  # not in front of the camera
+        return 0.0, 0.0
+    return -x, -y

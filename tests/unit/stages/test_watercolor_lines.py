@@ -26,7 +26,7 @@ from arfx.stages.watercolor.lines import (
 from arfx.stages.watercolor.pigment import paper_grain, wobble_tile
 from arfx.stages.watercolor.sites import STEPS, still_field
 from arfx.stages.watercolor.toon import RAMP, tones, toon_light
-from arfx.stages.watercolor.wobble import Wobbles
+from arfx.stages.watercolor.wobble import Wobbles, field_shift, object_shift
 from tests.reference.labels import displacement
 from tests.scenes import camera, facts, scene
 
@@ -159,7 +159,7 @@ def test_toon_light_is_the_strongest_of_the_clip() -> None:
 
 
 def test_paper_and_wobble_repeat_without_a_seam_and_keep_to_their_bounds() -> None:
-    for tile in (paper_grain(1), wobble_tile(1, 1.5, 12.0)[0] / 8):
+    for tile in (paper_grain(1), wobble_tile(1, 1.5)[0] / 8):
         inner = np.abs(np.diff(tile.astype(float), axis=1)).mean()
         assert np.abs(tile[:, 0].astype(float) - tile[:, -1]).mean() < 1.3 * inner
         assert np.abs(tile).max() <= 1.5
@@ -173,10 +173,11 @@ def test_borders_stray_with_the_things_between_pixels_too() -> None:
     def seen(wobble: Wobble) -> np.ndarray:
         return displacement(wobble, Rect.of(200, 160)) / STEPS
 
-    first = seen(wobbles.of_field(nodes))
+    first = seen(wobbles.at(*field_shift(nodes)))
     rows, columns = np.indices((160, 200)).astype(np.float32)
     for x, y in ((0.4, 0.0), (3.6, -1.3), (-0.5, 2.0)):
-        now = seen(wobbles.of_field(replace(nodes, u=nodes.u + x, v=nodes.v + y)))
+        shift = field_shift(replace(nodes, u=nodes.u + x, v=nodes.v + y))
+        now = seen(wobbles.at(*shift))
         for was, shown in zip(first, now, strict=True):
             true = cv2.remap(was, columns + x, rows + y, cv2.INTER_CUBIC)[8:-8, 8:-8]
             assert np.sqrt(np.mean((shown[8:-8, 8:-8] - true) ** 2)) < 1 / 12
@@ -184,7 +185,7 @@ def test_borders_stray_with_the_things_between_pixels_too() -> None:
     assert pose is not None
     near = replace(pose, translation_m=pose.translation_m + np.array([0.05, 0, 0]))
     (x, y), (x2, y2) = (cam.project(p.translation_m[None])[0] for p in (pose, near))
-    one, other = (wobbles.of_object(cam, p, np.zeros(3)) for p in (pose, near))
+    one, other = (wobbles.at(*object_shift(cam, p, np.zeros(3))) for p in (pose, near))
     assert (
         abs(other.x - one.x - (x - x2)) < 1.3
         and abs(other.y - one.y - (y - y2)) < 1.3
@@ -192,7 +193,7 @@ def test_borders_stray_with_the_things_between_pixels_too() -> None:
     )
     behind = replace(pose, translation_m=-pose.translation_m)
     assert (
-        wobbles.of_object(cam, behind, np.zeros(3)).x,
+        wobbles.at(*object_shift(cam, behind, np.zeros(3))).x,
         Wobbles(1, 0.0).at(5.5, 1),
     ) == (
         0,
