@@ -119,11 +119,11 @@ def common_level(
     index = np.unique(frame, return_inverse=True)[1]
     agrees = weight = 1 / variance
     offsets = np.zeros((print_.max() + 1, 3))
-    common = _means(index, level, weight)
+    common = group_means(index, level, weight)
     for _ in range(_PASSES):
-        offsets = _means(print_, level - common[index], agrees)
+        offsets = group_means(print_, level - common[index], agrees)
         offsets -= np.average(offsets[print_], axis=0, weights=weight)
-        common = _means(index, level - offsets[print_], agrees)
+        common = group_means(index, level - offsets[print_], agrees)
         off = np.abs(level - offsets[print_] - common[index])
         sigma = 1.4826 * np.median(off, 0) + LEAST_SIGMA
         agrees = weight * np.minimum(
@@ -266,7 +266,7 @@ def _noise(value: np.ndarray) -> np.ndarray:
     return 1.4826 * np.maximum(local, usual)
 
 
-def _means(group: np.ndarray, value: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def group_means(group: np.ndarray, value: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """(groups, c) weighted means of value (k, c). group : (k,) int, all from 0 on"""
     total = np.bincount(group, weight)
     columns = [np.bincount(group, weight * column) / total for column in value.T]

@@ -25,7 +25,12 @@ from arfx.analyse.light.over_time import (
 )
 from arfx.analyse.light.photometry import LightReading
 from arfx.analyse.light.sphere import DEG_8, nearest_cell
-from arfx.analyse.light.surroundings import EnvironmentSample, matched, soft_light
+from arfx.analyse.light.surroundings import (
+    EnvironmentSample,
+    matched,
+    scaled_to,
+    soft_light,
+)
 from arfx.analyse.params import LightParams
 from arfx.core.facts import FrameFacts
 from arfx.core.light import Light, triple
@@ -47,14 +52,6 @@ _TEMPORAL_MODELS = {
     WINDOWS: "its direction changes",
 }
 Lights = dict[int, Light]
-
-
-def scale_to(light: Light, normals: np.ndarray, radiance: np.ndarray) -> Light:
-    """The light, channel by channel as bright as white surfaces are measured, on average.
-
-    normals : (k, 3), axes of the light;  radiance : (k, 3)"""
-    shown = light.radiance(normals).mean(0)
-    return light.scaled(divide(radiance.mean(0), shown, where_zero=1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,8 +130,8 @@ class StaticFrameLight:
             of_frame = use[
                 np.searchsorted(starts, self.times_s(self.frames), side="right")
             ]
-            models = [soft, *(s.fit.light(s.group) for s in spans)]
-            lights = self._follow(models, of_frame + 1)
+            models = [*(s.fit.light(s.group) for s in spans), soft]
+            lights = self._follow(models, of_frame)
             verdict, why = best.fit.verdict_of(best.group)
             why += f"; {_TEMPORAL_MODELS[model]}"
             light = best.fit.light(best.group)
@@ -181,7 +178,7 @@ class StaticFrameLight:
                 left = (shown - light.radiance(n) + light.soft_radiance(n)).mean(0)
                 light = Light(triple(np.clip(left, 0, None)), light.lights, light.source)
             else:
-                light = scale_to(light, n, shown)
+                light = scaled_to(light, n, shown)
             lights = self._follow([light])
         return lights, self.report(ASSUMED, why, light)
 
@@ -207,9 +204,8 @@ class StaticFrameLight:
 
     def _steps_s(self) -> list[float]:
         """Times at which the light steps, beside what turning prints show."""
-        shape = matched(
-            Light.of_soft(np.zeros((9, 3)), (), ""), self.normals, self.reading.y
-        )
+        dark = Light.of_soft(np.zeros((9, 3)), (), "")
+        shape = matched(dark, self.normals, self.reading.y)
         used, level, variance = self._levels(shape.radiance(self.normals))
         if not used.any():
             return []

@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from arfx.analyse.light.brightness import group_means
 from arfx.analyse.light.sphere import DEG_8, nearest_cell
 from arfx.core.cube import CubeMap, face_directions, look_up, solid_angles
 from arfx.core.facts import FrameFacts
@@ -213,44 +214,37 @@ def soft_light(
     surroundings' own scale
     """
     size = samples[0].cube.shape[1]
-    directions, solid = (
-        face_directions(size).reshape(-1, 3),
-        np.tile(solid_angles(size).ravel(), 6),
-    )
+    directions = face_directions(size).reshape(-1, 3)
+    solid = np.tile(solid_angles(size).ravel(), 6)
     total, plane = np.zeros((9, 3)), np.mean([s.plane for s in samples], 0)
     sky = overhead(static_from_camera, up)
     for one, turn in zip(samples, static_from_camera, strict=True):
         d = directions @ turn.T
-        height = d @ up
-        above = (height > 0)[:, None]
-        incoming = one.cube.reshape(-1, 3)
-        even = divide(
-            (np.where(above, incoming, 0) * (solid * height)[:, None]).sum(0),
-            float((solid * np.clip(height, 0, None)).sum()),
-        )
-        incoming = (EVEN * even + (1 - EVEN) * incoming) * (1 + FROM_ABOVE * d @ sky)[
-            :, None
-        ]
-        arriving = divide(
-            (np.where(above, incoming, 0) * (solid * height)[:, None]).sum(0), np.pi
-        )
-        if (
-            shown is not None
-        ):  # a colour that the surroundings lack altogether comes evenly from all of them
-            incoming = np.where(
-                arriving > 1e-3 * np.max(shown), incoming * divide(shown, arriving), shown
-            )
-        below = np.minimum(
-            plane, arriving if shown is None else shown
-        )  # no plane is brighter than white
-        radiance = np.where(above, incoming, below)
+        facing = solid * np.clip(d @ up, 0, None)
+        seen = one.cube.reshape(-1, 3)
+        even = divide(facing @ seen, facing.sum())
+        brighter = (1 + FROM_ABOVE * d @ sky)[:, None]
+        incoming = (EVEN * even + (1 - EVEN) * seen) * brighter
+        white = facing @ incoming / np.pi
+        if shown is not None:
+            # a colour that the surroundings lack altogether comes evenly from all of them
+            known = white > 1e-3 * np.max(shown)
+            incoming = np.where(known, incoming * divide(shown, white), shown)
+            white = shown
+        # no plane is brighter than white
+        radiance = np.where((facing > 0)[:, None], incoming, np.minimum(plane, white))
         total += soft_of(radiance.reshape(one.cube.shape), turn)
     light = Light.of_soft(total / len(samples), (), "environment")
-    if shown is None:
-        return light
-    return light.scaled(
-        divide(shown, light.radiance(up), where_zero=1.0)
-    )  # what degree 2 rounds off
+    # what degree 2 rounds off
+    return light if shown is None else scaled_to(light, up[None], shown[None])
+
+
+def scaled_to(light: Light, normals: np.ndarray, radiance: np.ndarray) -> Light:
+    """The light, channel by channel as bright as white surfaces are measured, on average.
+
+    normals : (k, 3), axes of the light;  radiance : (k, 3)"""
+    shown = light.radiance(normals).mean(0)
+    return light.scaled(divide(radiance.mean(0), shown, where_zero=1.0))
 
 
 def matched(light: Light, normals: np.ndarray, shown: np.ndarray) -> Light:
@@ -262,17 +256,13 @@ def matched(light: Light, normals: np.ndarray, shown: np.ndarray) -> Light:
     the whole light, many shape it. Never below 0 where it was measured to be above."""
     cell = nearest_cell(normals, DEG_8)
     rows, where = np.unique(cell, return_inverse=True)
-    count = np.bincount(where, minlength=len(rows))
-    n = normalise(np.stack([np.bincount(where, normals[:, i]) for i in range(3)], -1))
-    want = (
-        np.stack([np.bincount(where, shown[:, c]) for c in range(3)], -1) / count[:, None]
-    )
-    basis = harmonics(n)
+    equal = np.ones(len(cell))
+    basis = harmonics(normalise(group_means(where, normals, equal)))
     soft = np.array(light.soft, float)
+    missing = group_means(where, shown, equal) - basis @ soft
     rough = np.diag(np.repeat([0.0, 1.0, 4.0], [1, 3, 5])) * RIDGE + 1e-9 * np.eye(9)
-    soft = soft + np.linalg.solve(
-        basis.T @ basis / len(rows) + rough, basis.T @ (want - basis @ soft) / len(rows)
-    )
+    normal = basis.T @ basis / len(rows) + rough
+    soft = soft + np.linalg.solve(normal, basis.T @ missing / len(rows))
     return Light.of_soft(soft, (), light.source)
 
 
