@@ -137,30 +137,22 @@ class LightFit:
         """As the light that every effect shares: known directions are lights, all else is
         soft (degree 2 harmonics).
         """
-        on = [li for li in self.lights if self._is_on(li, group)]
-        hard = [li for li in on if li.confidence_deg < NO_CONE_DEG]
-        rest = [li for li in on if li.confidence_deg >= NO_CONE_DEG]
-        soft, ambient = np.zeros((9, 3)), np.array(self.ambient_rgb[group])
+        ambient, lamps, shaped = np.array(self.ambient_rgb[group]), [], False
+        soft = np.zeros((9, 3))
         soft[0] = ambient * np.sqrt(4 * np.pi)
-        for li in rest:
-            fraction = _DOME if li.dome else _COSINE
-            soft += (fraction * harmonics(li.direction))[:, None] * li.rgb[group]
-            ambient = ambient + li.rgb[group] * (1 / 3 if li.dome else 1 / 4)
-        lamps = (
-            DirectionalLight(
-                triple(li.direction),
-                triple(li.rgb[group]),
-                li.angular_size_deg,
-                li.confidence_deg,
-            )
-            for li in hard
-        )
-        return Light(
-            triple(ambient),
-            tuple(lamps),
-            "marker",
-            tuple(triple(row) for row in soft) if rest else (),
-        )
+        for li in self.lights:
+            rgb, cone_deg = li.rgb[group], li.confidence_deg
+            if not self._is_on(li, group):
+                continue
+            if cone_deg < NO_CONE_DEG:
+                towards = triple(li.direction), triple(rgb)
+                lamps.append(DirectionalLight(*towards, li.angular_size_deg, cone_deg))
+                continue
+            fraction, mean = (_DOME, 1 / 3) if li.dome else (_COSINE, 1 / 4)
+            soft += (fraction * harmonics(li.direction))[:, None] * rgb
+            ambient, shaped = ambient + rgb * mean, True
+        rows = tuple(map(triple, soft)) if shaped else ()
+        return Light(triple(ambient), tuple(lamps), "marker", rows)
 
 
 def span_deg(normals: np.ndarray) -> float:

@@ -81,11 +81,9 @@ class Samples:
         """Of [1, n], columns of length 1: how well ambient light is told from a direction.
         lamp : n = 0 where it is not seen
         """
-        n = (
-            self.normals
-            if lamp is None
-            else self.normals * (self.normals @ lamp > 0)[:, None]
-        )
+        n = self.normals
+        if lamp is not None:
+            n = n * (n @ lamp > 0)[:, None]
         rows = np.sqrt(self.weight)[:, None] * np.column_stack([np.ones(len(n)), n])
         return condition(divide(rows, np.linalg.norm(rows, axis=0)))
 
@@ -107,20 +105,12 @@ def gather(
     lit : (g,) share of the lamps that is on in each group; then all groups are one, with
     the same light
     """
-    n, E = (
-        np.asarray(normals, float).reshape(-1, 3),
-        np.asarray(irradiance, float).reshape(-1, 3),
-    )
-    v = (
-        np.zeros(E.shape)
-        if variance is None
-        else np.broadcast_to(np.asarray(variance, float), E.shape)
-    )
+    n, E = (np.asarray(a, float).reshape(-1, 3) for a in (normals, irradiance))
+    v = np.broadcast_to(np.asarray(0 if variance is None else variance, float), E.shape)
     g = np.zeros(len(n), int) if group is None else np.asarray(group).ravel().astype(int)
     fine = np.isfinite(n).all(1) & np.isfinite(E).all(1) & np.isfinite(v).all(1)
-    with np.errstate(invalid="ignore"):
-        length = np.linalg.norm(np.where(fine[:, None], n, 0), axis=1)
-        fine &= (length > 0.5) & (v >= 0).all(1) & (v < _UNUSABLE).all(1)
+    length = np.linalg.norm(np.where(fine[:, None], n, 0), axis=1)
+    fine &= (length > 0.5) & ((v >= 0) & (v < _UNUSABLE)).all(1)
     if not fine.any():
         return None
     n, E, v, g = n[fine] / length[fine, None], E[fine], v[fine], g[fine]
@@ -134,16 +124,10 @@ def gather(
         np.array(a) for a in zip(*(_mean(n[r], E[r], v[r]) for r in rows), strict=True)
     )
     groups = key // FINE
-    coarse = np.unique(
-        np.stack([groups, nearest_cell(N, COARSE)]), axis=1, return_inverse=True
-    )[1].ravel()
+    coarse = np.unique(groups * COARSE + nearest_cell(N, COARSE), return_inverse=True)[1]
     many, floor = np.bincount(coarse)[coarse], model_error**2
     variance_of_mean = V + many * floor + _LEAST**2
-    effective = (
-        3 * float(((V + floor) / (V + many * floor + 1e-300)).sum())
-        if model_error > 0
-        else 3.0 * len(N)
-    )
+    effective = 3 * float(((V + floor + 1e-300) / (V + many * floor + 1e-300)).sum())
     starts, on = np.searchsorted(groups, np.arange(groups.max() + 2)), np.ones(len(N))
     if lit is not None:
         starts, on = np.array([0, len(N)]), np.asarray(lit, float)[np.unique(g)[groups]]

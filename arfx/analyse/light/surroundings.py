@@ -103,13 +103,8 @@ def from_panorama(picture: np.ndarray, size: int = SIZE) -> np.ndarray:
     ]
     grey = a.mean(-1)
     limit = OUTSTANDING * float((grey * solid).sum() / (solid.sum() * a.shape[1]))
-    a = np.ascontiguousarray(
-        a * np.minimum(1, limit / np.maximum(grey, max(limit, 1e-12)))[..., None],
-        np.float32,
-    )
-    a = np.asarray(
-        cv2.resize(a, (4 * size, 2 * size), interpolation=cv2.INTER_AREA), np.float32
-    )
+    a = a * np.minimum(1, limit / np.maximum(grey, max(limit, 1e-12)))[..., None]
+    a = cv2.resize(a, (4 * size, 2 * size), interpolation=cv2.INTER_AREA)
     d = face_directions(size)
     x = (0.5 - np.arctan2(d[..., 1], d[..., 0]) / (2 * np.pi)) * a.shape[1] - 0.5
     y = (0.5 - np.arcsin(np.clip(d[..., 2], -1, 1)) / np.pi) * a.shape[0] - 0.5
