@@ -208,21 +208,11 @@ class _Posed:
         h, w = self.picture.shape[:2]
         along = directions @ self.camera_from_static.T
         at = self.camera.project(along + inverse_radius * self.centre_m)
-        x, y = (np.where(np.isfinite(v), v, -1e4) for v in at.T)
-        x, y = (
-            (x + 0.5) * (w / self.camera.width) - 0.5,
-            (y + 0.5) * (h / self.camera.height) - 0.5,
-        )
-        inside = np.min([x + 0.5, w - 0.5 - x, y + 0.5, h - 0.5 - y], 0) / (
-            EDGE * min(w, h)
-        )
-        found = cv2.remap(
-            self.picture,
-            x.astype(np.float32),
-            y.astype(np.float32),
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
+        scale = w / self.camera.width, h / self.camera.height
+        at = (np.where(np.isfinite(at), at, -1e4) + 0.5) * scale - 0.5
+        inside = np.minimum(at + 0.5, [w - 0.5, h - 0.5] - at).min(1) / (EDGE * min(w, h))
+        places, border = at[:, None].astype(np.float32), cv2.BORDER_REPLICATE
+        found = cv2.remap(self.picture, places, None, cv2.INTER_LINEAR, borderMode=border)
         rgb, weight = found.reshape(-1, 3), smoothstep(inside)
         for lamp in self.lamps:
             bright = smoothstep(

@@ -73,22 +73,20 @@ def cube_from_picture(image: np.ndarray, size: int = SIZE) -> np.ndarray:
     small = cv2.resize(
         picture, (min(w, 2 * size), min(h, 2 * size)), interpolation=cv2.INTER_AREA
     )
-    d = face_directions(size)
-    angle = np.arctan2(np.hypot(d[..., 0], d[..., 1]), d[..., 2]) / (np.pi / 2)
-    out = 1 - np.abs(1 - angle)  # 0 in the middle, 1 at the border
-    across = np.maximum(np.hypot(d[..., 0], d[..., 1]), 1e-12)
-    x = (1 + out * d[..., 0] / across) / 2 * small.shape[1] - 0.5
-    y = (1 + out * d[..., 1] / across) / 2 * small.shape[0] - 0.5
-    return _sampled_at(small, x, y, cv2.BORDER_REPLICATE)
+    across, ahead = np.split(face_directions(size), [2], -1)
+    beside = np.linalg.norm(across, axis=-1, keepdims=True)
+    # 0 in the middle, 1 at the border
+    out = 1 - np.abs(1 - np.arctan2(beside, ahead) / (np.pi / 2))
+    share = (1 + out * across / np.maximum(beside, 1e-12)) / 2
+    return _sampled_at(small, share, cv2.BORDER_REPLICATE)
 
 
-def _sampled_at(
-    picture: np.ndarray, x: np.ndarray, y: np.ndarray, border: int
-) -> np.ndarray:
-    """(6, n, n, 3) of the picture at places (6, n, n)."""
-    x, y = (a.reshape(-1, a.shape[-1]).astype(np.float32) for a in (x, y))
-    out = cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=border)
-    return out.reshape(6, -1, out.shape[1], 3)
+def _sampled_at(picture: np.ndarray, share: np.ndarray, border: int) -> np.ndarray:
+    """(6, n, n, 3) of the picture at shares (6, n, n, 2) of its width and height."""
+    size = share.shape[1]
+    at = (share * picture.shape[1::-1] - 0.5).reshape(-1, size, 2).astype(np.float32)
+    out = cv2.remap(picture, at, None, cv2.INTER_LINEAR, borderMode=border)
+    return out.reshape(6, size, size, 3)
 
 
 def from_panorama(picture: np.ndarray, size: int = SIZE) -> np.ndarray:
@@ -105,11 +103,11 @@ def from_panorama(picture: np.ndarray, size: int = SIZE) -> np.ndarray:
     limit = OUTSTANDING * float((grey * solid).sum() / (solid.sum() * a.shape[1]))
     a = a * np.minimum(1, limit / np.maximum(grey, max(limit, 1e-12)))[..., None]
     a = cv2.resize(a, (4 * size, 2 * size), interpolation=cv2.INTER_AREA)
-    d = face_directions(size)
-    x = (0.5 - np.arctan2(d[..., 1], d[..., 0]) / (2 * np.pi)) * a.shape[1] - 0.5
-    y = (0.5 - np.arcsin(np.clip(d[..., 2], -1, 1)) / np.pi) * a.shape[0] - 0.5
-    y = np.clip(y, 0, a.shape[0] - 1)
-    return _sampled_at(a, x, y, cv2.BORDER_WRAP).astype(float)
+    x, y, z = np.moveaxis(face_directions(size), -1, 0)
+    across = 0.5 - np.arctan2(y, x) / (2 * np.pi)
+    half_row = 0.5 / len(a)
+    down = np.clip(0.5 - np.arcsin(z) / np.pi, half_row, 1 - half_row)
+    return _sampled_at(a, np.stack([across, down], -1), cv2.BORDER_WRAP).astype(float)
 
 
 def turned(faces: np.ndarray, source_from_dest: np.ndarray) -> np.ndarray:
@@ -162,11 +160,9 @@ def environment_sample(
     quad = (quad + 0.5) * (picture.shape[1] / width) - 0.5
     middle = quad.mean(0)
     fraction = np.linspace(0, 1, 8, endpoint=False)[:, None]
-    sides = np.concatenate(
-        [a + fraction * (b - a) for a, b in zip(quad, np.roll(quad, -1, 0), strict=True)]
-    )
-    at = np.rint(middle + AROUND * (sides - middle)).astype(int)
-    inside = ((at >= 0) & (at < [picture.shape[1], picture.shape[0]])).all(1)
+    sides = (1 - fraction) * quad[:, None] + fraction * np.roll(quad, -1, 0)[:, None]
+    at = np.rint(middle + AROUND * (sides.reshape(-1, 2) - middle)).astype(int)
+    inside = ((at >= 0) & (at < picture.shape[1::-1])).all(1)
     beside = (
         picture[at[inside, 1], at[inside, 0]] if inside.any() else picture.reshape(-1, 3)
     )
