@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -35,7 +34,6 @@ MODEL_ERROR, MOST_ERROR = (
     0.002,
     0.03,
 )  # of irradiance, over its bright level: at least, and beyond which the model is wrong
-MOST_GROUPS = 30  # of which directions are found; each has amplitudes of its own
 DEFAULT_SIZE_DEG = 5.0  # of a light whose disc the data do not show: a lamp indoors
 MOST_SIZE_DEG = 30.0  # disc of a likely light: beyond, no shadow is seen
 LEAST_SPAN_DEG = 3.0  # of the normals: less is one normal
@@ -193,11 +191,8 @@ def fit(
         return LightFit(REFUSED, "no usable observation", none, none)
     span = span_deg(normalise(s.normals))
     about: dict[str, Any] = {"span_deg": span}
-    groups = [slice(a, b) for a, b in pairwise(s.starts)]
-    seen = (
-        np.array([np.average(s.value[g], axis=0, weights=s.weight[g]) for g in groups])
-        * s.scale
-    )  # (g, 3)
+    groups = s.groups()
+    seen = np.array([g.value @ g.root / (g.root @ g.root) for g in groups]) * s.scale
 
     def refused(why: str, **more: Any) -> LightFit:
         return LightFit(REFUSED, why, seen, seen, **about, **more)
@@ -212,7 +207,7 @@ def fit(
         return refused(
             f"{len(s.normals)} normals only: a direction beside ambient light takes 4"
         )
-    error, found = MODEL_ERROR, Explanations(s.some_groups(MOST_GROUPS), params)
+    error, found = MODEL_ERROR, Explanations(s, params)
     for _ in range(
         4
     ):  # what no lights explain is an error of the model, and not one that averages out
@@ -223,7 +218,7 @@ def fit(
         if error > MOST_ERROR:
             break
         s = gather(normals, irradiance, variance, group, error, lit) or s
-        found = Explanations(s.some_groups(MOST_GROUPS), params, found)
+        found = Explanations(s, params, found)
     about["model_error"] = error
     if error > MOST_ERROR:
         return refused(

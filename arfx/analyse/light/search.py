@@ -3,7 +3,7 @@ honest weights."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -37,23 +37,6 @@ class Samples:
     scale: np.ndarray
     effective: float
     lit: np.ndarray
-
-    def some_groups(self, most: int) -> Samples:
-        """Those of at most so many groups, spread over all."""
-        sizes = np.diff(self.starts)
-        if len(sizes) <= most:
-            return self
-        chosen = np.linspace(0, len(sizes) - 1, most).round().astype(int)
-        rows = np.flatnonzero(np.isin(np.repeat(np.arange(len(sizes)), sizes), chosen))
-        return replace(
-            self,
-            normals=self.normals[rows],
-            value=self.value[rows],
-            weight=self.weight[rows],
-            starts=np.append(0, np.cumsum(sizes[chosen])),
-            effective=self.effective * len(rows) / len(self.weight),
-            lit=self.lit[rows],
-        )
 
     def groups(self, gamma_sigma: float = 0.0) -> list[Group]:
         """gamma_sigma : standard deviation of the values' exponent's logarithm"""
