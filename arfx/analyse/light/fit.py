@@ -9,7 +9,6 @@ Source: Tan, Chen, Sun 2009, eq. (1); docs/methods/light.md#lamps. Cost: 20 to 1
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -158,13 +157,6 @@ def span_deg(normals: np.ndarray) -> float:
     few = normals[:: len(normals) // _HELD + 1]
     return float(
         np.degrees(arccos(min((float((normals @ n).min()) for n in few), default=1.0)))
-    )
-
-
-def best_verdict(fits: Iterable[LightFit]) -> str:
-    """Of several fits, that of which most is known."""
-    return min(
-        (f.verdict for f in fits), key=(MEASURED, LIKELY, REFUSED).index, default=REFUSED
     )
 
 

@@ -23,10 +23,11 @@ from arfx.analyse.light.model import (
     joined,
     refine,
     solve,
+    turns_of,
 )
 from arfx.analyse.light.search import Samples
 from arfx.analyse.light.sphere import DEG_32, even_directions
-from arfx.core.numerics import angle_between, normalise
+from arfx.core.numerics import angle_between
 
 MEASURED, LIKELY, REFUSED = "measured", "likely", "refused"
 LEAST_CONE_DEG = 1.0  # what lamps that are near, sizes and gloss may shift it by
@@ -264,8 +265,8 @@ def _best(lights: Lights, chi2: np.ndarray, count: int) -> Lights:
 def _around(d: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Directions on rings about the unit vector d: (n, 3); unit vectors across d towards each
     (n, 3); sine of their angle from d (n, 1)."""
-    first = normalise(np.cross(d, np.eye(3)[np.abs(d).argmin()]))
-    side = np.cos(_AZIMUTHS) * first + np.sin(_AZIMUTHS) * np.cross(d, first)
+    first, second = turns_of(d)
+    side = np.cos(_AZIMUTHS) * first + np.sin(_AZIMUTHS) * second
     rings = np.radians(_RINGS_DEG[:-1])
     across, a = np.tile(side, (len(rings), 1)), np.repeat(rings, len(side))[:, None]
     return np.cos(a) * d + np.sin(a) * across, across, np.sin(a)

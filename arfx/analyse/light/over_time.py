@@ -60,16 +60,16 @@ class Span:
 class _Observations:
     """times_s : (k,) ascending;  normals, irradiance, variance : (k, 3);  group : (k,) int"""
 
+    params: Params
     times_s: np.ndarray
     normals: np.ndarray
     irradiance: np.ndarray
     variance: np.ndarray
     group: np.ndarray
-    params: Params
 
     def __getitem__(self, rows: slice | np.ndarray) -> _Observations:
         arrays = self.times_s, self.normals, self.irradiance, self.variance, self.group
-        return _Observations(*(a[rows] for a in arrays), self.params)
+        return _Observations(self.params, *(a[rows] for a in arrays))
 
     def spans(self, windows: Sequence[tuple[int, LightFit, int]]) -> list[Span]:
         """windows : in order, the first observation of each, its fit and its group"""
@@ -155,14 +155,17 @@ def fit_over_time(
     """
     order = np.argsort(times_s, kind="stable")
     seen = _Observations(
-        times_s, normals, irradiance, variance, np.zeros(len(times_s), int), params
+        params, times_s, normals, irradiance, variance, np.zeros(len(times_s), int)
     )[order]
     constant = seen.fit()
     if seen.steady(constant):
         return CONSTANT, seen.spans([(0, constant, 0)])
     segments = window_starts(seen.times_s, breaks_s)
-    refusal, switched = constant, _switched(seen, segments)
-    shared = switched if switched is not None and _plain(switched[1]) else None
+    refusal, shared, switched = constant, None, _switched(seen, segments)
+    if switched is not None:
+        _, found, _ = switched
+        if found.verdict == MEASURED or len(found.lights) == 1:
+            shared = switched
     for name, starts in (
         (SEGMENTS, segments),
         (SHARED, window_starts(seen.times_s, breaks_s, LONGEST_WINDOW_S)),
@@ -211,10 +214,6 @@ def fit_over_time(
     if not last.claimed and not refusal.claimed:
         last = replace(last, reason=refusal.reason)
     return CONSTANT, seen.spans([(0, last, 0)])
-
-
-def _plain(found: LightFit) -> bool:
-    return found.verdict == MEASURED or len(found.lights) == 1
 
 
 def _switched(

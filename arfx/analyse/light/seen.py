@@ -211,8 +211,9 @@ class _Posed:
         scale = w / self.camera.width, h / self.camera.height
         at = (np.where(np.isfinite(at), at, -1e4) + 0.5) * scale - 0.5
         inside = np.minimum(at + 0.5, [w - 0.5, h - 0.5] - at).min(1) / (EDGE * min(w, h))
-        places, border = at[:, None].astype(np.float32), cv2.BORDER_REPLICATE
-        found = cv2.remap(self.picture, places, None, cv2.INTER_LINEAR, borderMode=border)
+        x, y = cv2.split(at[:, None].astype(np.float32))
+        border = cv2.BORDER_REPLICATE
+        found = cv2.remap(self.picture, x, y, cv2.INTER_LINEAR, borderMode=border)
         rgb, weight = found.reshape(-1, 3), smoothstep(inside)
         for lamp in self.lamps:
             bright = smoothstep(

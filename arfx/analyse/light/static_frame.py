@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from arfx.analyse.light.brightness import brightness, common_level, steps
-from arfx.analyse.light.fit import best_verdict, span_deg
+from arfx.analyse.light.fit import span_deg
 from arfx.analyse.light.hypotheses import LIKELY, MEASURED, REFUSED
 from arfx.analyse.light.hypotheses import Params as FitParams
 from arfx.analyse.light.over_time import (
@@ -158,11 +158,9 @@ class StaticFrameLight:
         """Brightness of at most MOST_GAINS frames, over its median."""
         frames = self.frames[:: len(self.frames) // MOST_GAINS + 1]
         bright = np.array([lights[k].mean_radiance.mean() for k in frames])
-        relative = divide(bright, np.median(bright), where_zero=1.0).tolist()
-        times_s = self.times_s(frames).tolist()
-        return [
-            {"time_s": t, "relative": g} for t, g in zip(times_s, relative, strict=True)
-        ]
+        relative = divide(bright, np.median(bright), where_zero=1.0)
+        rows = np.stack([self.times_s(frames), relative], -1).tolist()
+        return [{"time_s": time_s, "relative": gain} for time_s, gain in rows]
 
     def from_given(
         self, light: Light, stated: bool, why: str
@@ -320,7 +318,8 @@ def fit_temporal_model(
             breaks_s,
             params,
         )
-        better = best_verdict(s.fit for s in spans)
+        verdicts = {s.fit.verdict for s in spans}
+        better = next(v for v in (MEASURED, LIKELY, REFUSED) if v in verdicts)
         if better == MEASURED or (verdict in ("", REFUSED) and better != verdict):
             found, verdict = (account, spans, reading), better
     return found

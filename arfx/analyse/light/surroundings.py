@@ -85,7 +85,8 @@ def _sampled_at(picture: np.ndarray, share: np.ndarray, border: int) -> np.ndarr
     """(6, n, n, 3) of the picture at shares (6, n, n, 2) of its width and height."""
     size = share.shape[1]
     at = (share * picture.shape[1::-1] - 0.5).reshape(-1, size, 2).astype(np.float32)
-    out = cv2.remap(picture, at, None, cv2.INTER_LINEAR, borderMode=border)
+    x, y = cv2.split(at)
+    out = cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=border)
     return out.reshape(6, size, size, 3)
 
 
