@@ -119,11 +119,11 @@ def common_level(
     index = np.unique(frame, return_inverse=True)[1]
     agrees = weight = 1 / variance
     offsets = np.zeros((print_.max() + 1, 3))
-    common = _means(index, level, weight)
+    common = group_means(index, level, weight)
     for _ in range(_PASSES):
-        offsets = _means(print_, level - common[index], agrees)
+        offsets = group_means(print_, level - common[index], agrees)
         offsets -= np.average(offsets[print_], axis=0, weights=weight)
-        common = _means(index, level - offsets[print_], agrees)
+        common = group_means(index, level - offsets[print_], agrees)
         off = np.abs(level - offsets[print_] - common[index])
         sigma = 1.4826 * np.median(off, 0) + LEAST_SIGMA
         agrees = weight * np.minimum(
@@ -155,6 +155,8 @@ def _smoothed(
     turn: np.ndarray,
 ) -> np.ndarray:
     """(t, 3) levels of all frames out of those of `seen` (n,): level (n, 3), variance (n,)."""
+    from scipy.ndimage import maximum_filter1d
+
     usual = float(np.median(variance))
     size = np.clip(variance / usual, 0.25, 1e4)[:, None]
     least = min(STATED * np.sqrt(usual), MOST_STATED) + LEAST_SIGMA
@@ -167,8 +169,7 @@ def _smoothed(
     shown = np.append(0, between(np.nan_to_num(change))) * ~unknown
     clear = np.abs(shown) > np.maximum(LEAST_CHANGE, SURE * _noise(shown[:, None])[:, 0])
     expected = np.where(clear, shown, 0.0)
-    near = np.pad(OFF * np.abs(expected), 1)
-    moves = np.maximum(np.maximum(near[:-2], near[1:-1]), near[2:])
+    moves = maximum_filter1d(OFF * np.abs(expected), 3)
     root_s = np.sqrt(np.diff(times_s[seen]).clip(1e-6))
     turned = between(turn)
 
@@ -180,15 +181,16 @@ def _smoothed(
         fine = unknown | (around * found[:, 0] > BORNE_OUT * found[:, 0] ** 2)
         return np.where(fine, SURE, DOUBTED)[:, None]
 
-    def chroma_takes(_: np.ndarray, scale: int) -> np.ndarray:
-        return np.array([CHROMA_JUMP if scale == SCALES[0] else CHROMA_SURE])
-
     luma = level.mean(1, keepdims=True)
     rest = np.hypot(DRIFT * root_s, TURN * turned)
     out = _followed(luma, size, least, rest, moves, expected, borne_out)
     size, still = size * CHROMA_NOISE**2, np.zeros(len(seen))
     rest = np.hypot(CHROMA_DRIFT * root_s, CHROMA_TURN * turned)
-    out = out + _followed(level - luma, size, least, rest, still, still, chroma_takes)
+    takes = {scale: CHROMA_SURE for scale in SCALES} | {SCALES[0]: CHROMA_JUMP}
+    chroma = level - luma
+    out = out + _followed(
+        chroma, size, least, rest, still, still, lambda _, scale: takes[scale]
+    )
     return np.stack([np.interp(times_s, times_s[seen], column) for column in out.T], -1)
 
 
@@ -199,7 +201,7 @@ def _followed(
     rest: np.ndarray,
     moves: np.ndarray,
     expected: np.ndarray,
-    takes: Callable[[np.ndarray, int], np.ndarray],
+    takes: Callable[[np.ndarray, int], np.ndarray | float],
 ) -> np.ndarray:
     """(n, c) of value (n, c), seen with noise of relative variance `size` (n, 1), whose
     deviation is `least` at least: a random walk that moves where something clearly changes.
@@ -247,8 +249,7 @@ def _difference(value: np.ndarray, scale: int) -> np.ndarray:
     """
     out = np.zeros_like(value)
     if len(value) >= 2 * scale:
-        windows = np.lib.stride_tricks.sliding_window_view(value, scale, axis=0)
-        middle = np.median(windows, -1)
+        middle = _medians(value, scale)
         inside = middle[scale:] - middle[:-scale]
         out[:] = np.pad(inside, ((scale, scale - 1), (0, 0)), mode="edge")
     return out
@@ -261,12 +262,16 @@ def _noise(value: np.ndarray) -> np.ndarray:
     bent = np.abs(np.diff(value, 3, axis=0)) / np.sqrt(20)  # of white noise, as it is
     before = NOISE_OVER // 2 + 1
     padded = np.pad(bent, ((before, NOISE_OVER + 2 - before), (0, 0)), mode="symmetric")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, NOISE_OVER, axis=0)
-    local, usual = np.median(windows, -1), np.median(bent, 0)
-    return 1.4826 * np.maximum(local, usual)
+    return 1.4826 * np.maximum(_medians(padded, NOISE_OVER), np.median(bent, 0))
 
 
-def _means(group: np.ndarray, value: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def _medians(value: np.ndarray, count: int) -> np.ndarray:
+    """(n - count + 1, c) of each `count` successive values (n, c)."""
+    windows = np.lib.stride_tricks.sliding_window_view(value, count, axis=0)
+    return np.asarray(np.median(windows, -1))
+
+
+def group_means(group: np.ndarray, value: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """(groups, c) weighted means of value (k, c). group : (k,) int, all from 0 on"""
     total = np.bincount(group, weight)
     columns = [np.bincount(group, weight * column) / total for column in value.T]

@@ -9,9 +9,7 @@ Source: Tan, Chen, Sun 2009, eq. (1); docs/methods/light.md#lamps. Cost: 20 to 1
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -35,7 +33,6 @@ MODEL_ERROR, MOST_ERROR = (
     0.002,
     0.03,
 )  # of irradiance, over its bright level: at least, and beyond which the model is wrong
-MOST_GROUPS = 30  # of which directions are found; each has amplitudes of its own
 DEFAULT_SIZE_DEG = 5.0  # of a light whose disc the data do not show: a lamp indoors
 MOST_SIZE_DEG = 30.0  # disc of a likely light: beyond, no shadow is seen
 LEAST_SPAN_DEG = 3.0  # of the normals: less is one normal
@@ -137,30 +134,22 @@ class LightFit:
         """As the light that every effect shares: known directions are lights, all else is
         soft (degree 2 harmonics).
         """
-        on = [li for li in self.lights if self._is_on(li, group)]
-        hard = [li for li in on if li.confidence_deg < NO_CONE_DEG]
-        rest = [li for li in on if li.confidence_deg >= NO_CONE_DEG]
-        soft, ambient = np.zeros((9, 3)), np.array(self.ambient_rgb[group])
+        ambient, lamps, shaped = np.array(self.ambient_rgb[group]), [], False
+        soft = np.zeros((9, 3))
         soft[0] = ambient * np.sqrt(4 * np.pi)
-        for li in rest:
-            fraction = _DOME if li.dome else _COSINE
-            soft += (fraction * harmonics(li.direction))[:, None] * li.rgb[group]
-            ambient = ambient + li.rgb[group] * (1 / 3 if li.dome else 1 / 4)
-        lamps = (
-            DirectionalLight(
-                triple(li.direction),
-                triple(li.rgb[group]),
-                li.angular_size_deg,
-                li.confidence_deg,
-            )
-            for li in hard
-        )
-        return Light(
-            triple(ambient),
-            tuple(lamps),
-            "marker",
-            tuple(triple(row) for row in soft) if rest else (),
-        )
+        for li in self.lights:
+            rgb, cone_deg = li.rgb[group], li.confidence_deg
+            if not self._is_on(li, group):
+                continue
+            if cone_deg < NO_CONE_DEG:
+                towards = triple(li.direction), triple(rgb)
+                lamps.append(DirectionalLight(*towards, li.angular_size_deg, cone_deg))
+                continue
+            fraction, mean = (_DOME, 1 / 3) if li.dome else (_COSINE, 1 / 4)
+            soft += (fraction * harmonics(li.direction))[:, None] * rgb
+            ambient, shaped = ambient + rgb * mean, True
+        rows = tuple(map(triple, soft)) if shaped else ()
+        return Light(triple(ambient), tuple(lamps), "marker", rows)
 
 
 def span_deg(normals: np.ndarray) -> float:
@@ -168,13 +157,6 @@ def span_deg(normals: np.ndarray) -> float:
     few = normals[:: len(normals) // _HELD + 1]
     return float(
         np.degrees(arccos(min((float((normals @ n).min()) for n in few), default=1.0)))
-    )
-
-
-def best_verdict(fits: Iterable[LightFit]) -> str:
-    """Of several fits, that of which most is known."""
-    return min(
-        (f.verdict for f in fits), key=(MEASURED, LIKELY, REFUSED).index, default=REFUSED
     )
 
 
@@ -201,11 +183,8 @@ def fit(
         return LightFit(REFUSED, "no usable observation", none, none)
     span = span_deg(normalise(s.normals))
     about: dict[str, Any] = {"span_deg": span}
-    groups = [slice(a, b) for a, b in pairwise(s.starts)]
-    seen = (
-        np.array([np.average(s.value[g], axis=0, weights=s.weight[g]) for g in groups])
-        * s.scale
-    )  # (g, 3)
+    groups = s.groups()
+    seen = np.array([g.value @ g.root / (g.root @ g.root) for g in groups]) * s.scale
 
     def refused(why: str, **more: Any) -> LightFit:
         return LightFit(REFUSED, why, seen, seen, **about, **more)
@@ -220,7 +199,7 @@ def fit(
         return refused(
             f"{len(s.normals)} normals only: a direction beside ambient light takes 4"
         )
-    error, found = MODEL_ERROR, Explanations(s.some_groups(MOST_GROUPS), params)
+    error, found = MODEL_ERROR, Explanations(s, params)
     for _ in range(
         4
     ):  # what no lights explain is an error of the model, and not one that averages out
@@ -231,7 +210,7 @@ def fit(
         if error > MOST_ERROR:
             break
         s = gather(normals, irradiance, variance, group, error, lit) or s
-        found = Explanations(s.some_groups(MOST_GROUPS), params, found)
+        found = Explanations(s, params, found)
     about["model_error"] = error
     if error > MOST_ERROR:
         return refused(

@@ -39,12 +39,6 @@ class Reading(NamedTuple):
     cells: patches.Patches
 
 
-# intensity, variance, clipped share and albedo of the patches, what the darkest pixels show,
-# and which print it is
-Solve = Callable[
-    [np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray | None, np.ndarray],
-    tuple[Photometry, LightReading | None],
-]
 # width of an interval for one of three questions at .95 of all (Bonferroni), over the width
 # for one
 THREE_ASKED = 1.221
@@ -86,7 +80,7 @@ def with_light(
     samples: Sequence[EnvironmentSample],
     params: LightParams,
     panorama: np.ndarray | None = None,
-    solve: Solve = solve_patches,
+    solve: Callable[..., tuple[Photometry, LightReading | None]] = solve_patches,
     static_frame_light: Callable[..., StaticFrameLight] = StaticFrameLight,
     changes: Mapping[int, float] = MappingProxyType({}),
     place_m: Callable[[], np.ndarray] = lambda: np.zeros(2),
@@ -95,7 +89,7 @@ def with_light(
     found in summary["light"].
 
     panorama : (h, w, 3) linear radiance, of LightParams.environment;  solve : bias and
-    light out of patches;  changes : of the background, by frame (Readings.change)
+    light out of patches, as solve_patches;  changes : of the background, by frame (Readings.change)
     place_m : (2,) where the object stands, anchor axes
     """
     facts, turns = analysis.facts, analysis.static == "camera"
@@ -162,7 +156,9 @@ def with_light(
         )
     for k, cells in shaded.items():
         lit[k] = lit[k].with_(plane_shadow=real_shadow(cells - bias.mean(), corners_m))
-    known_bias, p = bool(photometry.determined.all()), photometry
+    p = photometry
+    known_bias = p.determined.all()
+    figures = ("rank", "unknowns", "condition", "misfit")
     summary = {
         "frames_with_real_shadow": len(shaded),
         "shadow_edge": edge_clue([*shaded.values()], corners_m),
@@ -176,10 +172,7 @@ def with_light(
         "photometry": {
             "verdict": p.verdict,
             "reason": p.reason,
-            "rank": p.rank.tolist(),
-            "unknowns": p.unknowns.tolist(),
-            "condition": p.condition.tolist(),
-            "misfit": p.misfit.tolist(),
+            **{name: getattr(p, name).tolist() for name in figures},
             "readings": len(p.seen),
             "readings_used": int(p.seen.sum()),
             "not_finite": p.ignored,

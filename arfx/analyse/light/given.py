@@ -9,7 +9,7 @@ import numpy as np
 
 from arfx.analyse.light.surroundings import OUTSTANDING, from_panorama, soft_of
 from arfx.core.light import DirectionalLight, Light, triple
-from arfx.core.numerics import direction_of, normalise
+from arfx.core.numerics import arccos, direction_of, normalise
 
 ROWS = 64  # a panorama is reduced to: 2.8 degrees a pixel
 LEAST_FRACTION = 0.1  # of all light that a lamp gives
@@ -21,10 +21,8 @@ def light_from_direction(given: tuple[float, ...], size_deg: float) -> Light:
     """given : azimuth from x towards y and elevation above the plane, degrees, and perhaps R,
     G, B
     """
-    direction, rgb = (
-        direction_of(*np.radians(given[:2])),
-        np.array(given[2:] or [DIRECT] * 3),
-    )
+    direction = direction_of(*np.radians(given[:2]))
+    rgb = np.array(given[2:] or [DIRECT] * 3)
     lamp = DirectionalLight(triple(direction), triple(rgb), size_deg)
     return Light((AMBIENT,) * 3, (lamp,), "given")
 
@@ -62,9 +60,7 @@ def light_from_panorama(picture: np.ndarray) -> Light:
         d = normalise(power[on] @ direction[on])
         arriving = solid[on] * np.clip(direction[on] @ d, 0, None) / np.pi
         rgb = arriving @ (small[on] * (1 - limit / small[on].mean(-1, keepdims=True)))
-        size = 2 * np.degrees(
-            np.arccos(np.clip(1 - solid[on].sum() / (2 * np.pi), -1, 1))
-        )
+        size = 2 * np.degrees(arccos(1 - solid[on].sum() / (2 * np.pi)))
         lamps.append(DirectionalLight(triple(d), triple(rgb), float(min(size, 90.0))))
     soft = soft_of(from_panorama(picture), np.eye(3))
     return Light.of_soft(soft, tuple(lamps), "environment file")

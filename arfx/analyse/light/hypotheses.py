@@ -23,10 +23,11 @@ from arfx.analyse.light.model import (
     joined,
     refine,
     solve,
+    turns_of,
 )
 from arfx.analyse.light.search import Samples
 from arfx.analyse.light.sphere import DEG_32, even_directions
-from arfx.core.numerics import angle_between, normalise
+from arfx.core.numerics import angle_between
 
 MEASURED, LIKELY, REFUSED = "measured", "likely", "refused"
 LEAST_CONE_DEG = 1.0  # what lamps that are near, sizes and gloss may shift it by
@@ -39,6 +40,7 @@ LEAST_LIGHT = 0.015  # share of the light seen below which a light counts as non
 LEAST_SHADOW = 0.1  # share of the light from which a lamp casts a shadow worth the name
 # of readings and normals, slow over a clip: times the condition it turns the direction, radians
 SYSTEMATIC_ERROR = 0.0005
+MOST_GROUPS = 30  # of which directions are found; each has amplitudes of its own
 SKY_DEG = 30.0  # what ambient light alone that is brighter from one side widens a cone to
 _SOFT = np.sin(np.radians([[10.0], [20.0], [35.0]]))  # of one light's disc
 _RATIOS = (1.0, 0.6, 0.35)  # of the weaker of two lamps that pose as one
@@ -77,7 +79,8 @@ class Assessment(NamedTuple):
 class Explanations:
     """Of the samples, by number of lights.
 
-    groups : the samples;  minima : by count, what the search ended in, and its chi squared
+    groups : the samples, of some groups where there are many;  effective : independent
+    values in these;  minima : by count, what the search ended in, and its chi squared
     best : the best of them, one set of lights;  best_cost : its chi squared;  count : the chosen
     """
 
@@ -87,7 +90,11 @@ class Explanations:
         """start : of the same observations under other weights; its minima are followed"""
         self.params = params
         most = max(0, min(params.most_lights, 2))
-        self.samples, self.groups = s, s.groups(params.gamma_sigma)
+        every = s.groups(params.gamma_sigma)
+        some = np.linspace(0, len(every) - 1, min(len(every), MOST_GROUPS)).round()
+        self.samples, self.groups = s, [every[int(i)] for i in some]
+        kept = sum(len(group.root) for group in self.groups)
+        self.effective = s.effective * kept / len(s.weight)
         if start is None:
             starts = _starts(self.groups, most)
         else:
@@ -105,7 +112,7 @@ class Explanations:
             self.best_cost.append(float(chi2[k]))
         wide = max(1.0, self.misfit(most))
         bic = [
-            c / wide + self._parameters(k) * np.log(max(s.effective, 2.0))
+            c / wide + self._parameters(k) * np.log(max(self.effective, 2.0))
             for k, c in enumerate(self.best_cost)
         ]
         self.count = 0
@@ -132,17 +139,19 @@ class Explanations:
     def _parameters(self, count: int) -> int:
         return 3 * len(self.groups) * (1 + count) + 2 * count
 
+    def _freedom(self, count: int) -> float:
+        return max(self.effective - self._parameters(count), 1.0)
+
     def misfit(self, count: int) -> float:
-        left = max(self.samples.effective - self._parameters(count), 1.0)
-        return self.best_cost[count] / left
+        return self.best_cost[count] / self._freedom(count)
 
     def bound(self) -> float:
         """Chi squared up to which another explanation is no worse, at 95 % for two parameters."""
         from scipy.special import fdtri
 
-        dof = max(self.samples.effective - self._parameters(self.count), 1.0)
         wider = max(1.0, self.misfit(self.count))
-        return float(self.best_cost[self.count] + 2 * fdtri(2, dof, 0.95) * wider)
+        quantile = fdtri(2, self._freedom(self.count), 0.95)
+        return float(self.best_cost[self.count] + 2 * quantile * wider)
 
     def assess(self, light: int) -> Assessment:
         """Of one light of the chosen explanation. light : its row in best.dirs
@@ -256,8 +265,8 @@ def _best(lights: Lights, chi2: np.ndarray, count: int) -> Lights:
 def _around(d: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Directions on rings about the unit vector d: (n, 3); unit vectors across d towards each
     (n, 3); sine of their angle from d (n, 1)."""
-    first = normalise(np.cross(d, np.eye(3)[np.abs(d).argmin()]))
-    side = np.cos(_AZIMUTHS) * first + np.sin(_AZIMUTHS) * np.cross(d, first)
+    first, second = turns_of(d)
+    side = np.cos(_AZIMUTHS) * first + np.sin(_AZIMUTHS) * second
     rings = np.radians(_RINGS_DEG[:-1])
     across, a = np.tile(side, (len(rings), 1)), np.repeat(rings, len(side))[:, None]
     return np.cos(a) * d + np.sin(a) * across, across, np.sin(a)

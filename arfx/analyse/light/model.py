@@ -121,7 +121,7 @@ def non_negative(G: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return x, inverse
 
 
-def _across(dirs: np.ndarray) -> np.ndarray:
+def turns_of(dirs: np.ndarray) -> np.ndarray:
     """(..., 2, 3) unit vectors across (..., 3) and each other."""
     first = normalise(np.cross(dirs, np.eye(3)[np.abs(dirs).argmin(-1)]))
     return np.stack([first, np.cross(dirs, first)], -2)
@@ -130,7 +130,7 @@ def _across(dirs: np.ndarray) -> np.ndarray:
 def solve(groups: Sequence[Group], lights: Lights, moved: Sequence[int] = ()) -> Solution:
     """moved : numbers of the directions whose turns are asked for"""
     n, m, moved = len(lights), lights.mix.shape[1] + 1, list(moved)
-    across = _across(lights.dirs[:, moved])
+    across = turns_of(lights.dirs[:, moved])
     chi2 = np.full(n, sum(g.total for g in groups))
     amplitudes, p = np.empty((n, len(groups), 3, m)), 2 * len(moved)
     gradient, curvature = np.zeros((n, p)), np.zeros((n, p, p))

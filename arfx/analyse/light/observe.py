@@ -64,7 +64,11 @@ class LightReader:
         picture = frame.picture
         if picture is None:
             return
-        self._compare_with_following(frame)
+        if frame.following is not None:
+            now = small_luma(frame.luma) if self._small is None else self._small
+            self._small = small_luma(frame.following())
+            change = background_change(now, self._small)
+            self.changes.append(BackgroundChange(frame.index + 1, change))
         for s in detections(shown):
             box = Rect.around(s.corners_px, _AROUND_PX).clip(picture.rect)
             if box.empty:
@@ -74,14 +78,6 @@ class LightReader:
             quad_px, linear = s.corners_px - [box.x0, box.y0], picture.linear(box)
             cells = patches.read_print(linear, quad_px, meter, s.inverted, blur)
             self.readings.append(Reading(frame.index, s.key, cells))
-
-    def _compare_with_following(self, frame: AnalysisFrame) -> None:
-        if frame.following is None:
-            return
-        now = small_luma(frame.luma) if self._small is None else self._small
-        self._small = small_luma(frame.following())
-        change = background_change(now, self._small)
-        self.changes.append(BackgroundChange(frame.index + 1, change))
 
 
 def darkest(picture: Picture) -> np.ndarray:

@@ -60,26 +60,23 @@ class Span:
 class _Observations:
     """times_s : (k,) ascending;  normals, irradiance, variance : (k, 3);  group : (k,) int"""
 
+    params: Params
     times_s: np.ndarray
     normals: np.ndarray
     irradiance: np.ndarray
     variance: np.ndarray
     group: np.ndarray
-    params: Params
 
     def __getitem__(self, rows: slice | np.ndarray) -> _Observations:
-        return replace(
-            self,
-            times_s=self.times_s[rows],
-            normals=self.normals[rows],
-            irradiance=self.irradiance[rows],
-            variance=self.variance[rows],
-            group=self.group[rows],
-        )
+        arrays = self.times_s, self.normals, self.irradiance, self.variance, self.group
+        return _Observations(self.params, *(a[rows] for a in arrays))
 
-    @property
-    def ends_s(self) -> tuple[float, float]:
-        return float(self.times_s[0]), float(self.times_s[-1])
+    def spans(self, windows: Sequence[tuple[int, LightFit, int]]) -> list[Span]:
+        """windows : in order, the first observation of each, its fit and its group"""
+        starts = [start for start, _, _ in windows]
+        edges_s = np.append(self.times_s[starts], self.times_s[-1]).tolist()
+        rows = zip(pairwise(edges_s), windows, strict=True)
+        return [Span(a, b, found, group) for (a, b), (_, found, group) in rows]
 
     def pieces(self, starts: Sequence[int]) -> list[_Observations]:
         """starts : of `window_starts`"""
@@ -93,11 +90,11 @@ class _Observations:
         few = replace(self.params, most_lights=min(self.params.most_lights, lights))
         return fit(self.normals, self.irradiance, self.variance, self.group, few, lit)
 
-    def drift(self) -> float:
-        return drift(self.times_s, self.normals, self.irradiance, self.group)
-
     def steady(self, found: LightFit) -> bool:
-        return found.model_error <= _GOOD_ERROR and self.drift() <= _MOST_DRIFT
+        if found.model_error > _GOOD_ERROR:
+            return False
+        drifts = drift(self.times_s, self.normals, self.irradiance, self.group)
+        return drifts <= _MOST_DRIFT
 
     def confirmed(self, found: LightFit) -> LightFit:
         """With its first light's cone widened to what the first and the last half say: beyond
@@ -158,14 +155,17 @@ def fit_over_time(
     """
     order = np.argsort(times_s, kind="stable")
     seen = _Observations(
-        times_s, normals, irradiance, variance, np.zeros(len(times_s), int), params
+        params, times_s, normals, irradiance, variance, np.zeros(len(times_s), int)
     )[order]
     constant = seen.fit()
     if seen.steady(constant):
-        return CONSTANT, [Span(*seen.ends_s, constant)]
+        return CONSTANT, seen.spans([(0, constant, 0)])
     segments = window_starts(seen.times_s, breaks_s)
-    refusal, switched = constant, _switched(seen, segments)
-    shared = switched if switched is not None and _plain(switched[1]) else None
+    refusal, shared, switched = constant, None, _switched(seen, segments)
+    if switched is not None:
+        _, found, _ = switched
+        if found.verdict == MEASURED or len(found.lights) == 1:
+            shared = switched
     for name, starts in (
         (SEGMENTS, segments),
         (SHARED, window_starts(seen.times_s, breaks_s, LONGEST_WINDOW_S)),
@@ -175,7 +175,7 @@ def fit_over_time(
         if name == SHARED:
             pumped = _exposure_drift_fit(seen)
             if pumped is not None and pumped.model_error <= _GOOD_ERROR:
-                return SHARED, [Span(*seen.ends_s, pumped)]
+                return SHARED, seen.spans([(0, pumped, 0)])
         elif len(starts) < 2:
             continue
         grouped = seen.grouped(starts)
@@ -187,55 +187,33 @@ def fit_over_time(
         if name == SHARED:
             found = grouped.confirmed(found)
         if found.claimed:
-            fits = [(found, group) for group in range(len(starts))]
-            shared = name, found, _spans(seen, starts, fits)
+            windows = [(start, found, group) for group, start in enumerate(starts)]
+            shared = name, found, seen.spans(windows)
     held = [h for h in (switched, shared) if h is not None]
-    if held:
-        shared = min(held, key=lambda h: (h[1].verdict != MEASURED, len(h[1].lights)))
+    shared = min(
+        held, key=lambda h: (h[1].verdict != MEASURED, len(h[1].lights)), default=None
+    )
     if shared is not None and len(shared[1].lights) == 1:
         return shared[0], shared[2]
-    alone = [(piece, piece.fit()) for piece in seen.pieces(segments)]
-    large = [len(piece.times_s) >= _LEAST_PIECE for piece, _ in alone]
-    holds = [
-        enough and found.claimed and piece.steady(found)
-        for enough, (piece, found) in zip(large, alone, strict=True)
-    ]
-    # one light of its own in each segment, or two for all: the former is simpler
-    single = [
-        ok and len(found.lights) == 1
-        for enough, ok, (_, found) in zip(large, holds, alone, strict=True)
-        if enough
-    ]
-    if shared is not None and not all(single):
-        return shared[0], shared[2]
-    windows: dict[int, LightFit] = {}
-    for start, (piece, found), ok in zip(segments, alone, holds, strict=True):
-        if ok:
-            windows[start] = found
+    windows = []
+    for start, piece in zip(segments, seen.pieces(segments), strict=True):
+        found, large = piece.fit(), len(piece.times_s) >= _LEAST_PIECE
+        holds = large and found.claimed and piece.steady(found)
+        # one light of its own in each segment, or two for all: the former is simpler
+        if shared is not None and large and not (holds and len(found.lights) == 1):
+            return shared[0], shared[2]
+        if holds:
+            windows.append((start, found, 0))
             continue
         inner = window_starts(piece.times_s, (), LONGEST_WINDOW_S)
         for first, part in zip(inner, piece.pieces(inner), strict=True):
-            windows[start + first] = part.confirmed(part.fit())
-    if any(found.claimed for found in windows.values()):
-        fits = [(found, 0) for found in windows.values()]
-        return WINDOWS, _spans(seen, [*windows], fits)
+            windows.append((start + first, part.confirmed(part.fit()), 0))
+    if any(found.claimed for _, found, _ in windows):
+        return WINDOWS, seen.spans(windows)
     last = seen.confirmed(constant)
     if not last.claimed and not refusal.claimed:
         last = replace(last, reason=refusal.reason)
-    return CONSTANT, [Span(*seen.ends_s, last)]
-
-
-def _spans(
-    seen: _Observations, starts: Sequence[int], fits: Sequence[tuple[LightFit, int]]
-) -> list[Span]:
-    """The windows that begin at these observations, each with its fit and group."""
-    edges = [*seen.times_s[[*starts]].tolist(), seen.ends_s[1]]
-    rows = zip(pairwise(edges), fits, strict=True)
-    return [Span(a, b, found, group) for (a, b), (found, group) in rows]
-
-
-def _plain(found: LightFit) -> bool:
-    return found.verdict == MEASURED or len(found.lights) == 1
+    return CONSTANT, seen.spans([(0, last, 0)])
 
 
 def _switched(
@@ -250,8 +228,8 @@ def _switched(
     if not found.claimed or not by_state.steady(found):
         return None
     dark = replace(found, lights=tuple(li for li in found.lights if li.dome))
-    states = [(found if on else dark, 0) for on in lit]
-    return SWITCHED, found, _spans(seen, segments, states)
+    states = [(a, found if on else dark, 0) for a, on in zip(segments, lit, strict=True)]
+    return SWITCHED, found, seen.spans(states)
 
 
 def switches(

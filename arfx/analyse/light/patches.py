@@ -142,13 +142,10 @@ def read_print(
         return Patches(none, none, np.zeros(PATCHES, int), none[:, 0], meter.albedo)
     value = seen.value
     if meter.scale is not None:
-        x, y = np.moveaxis(
-            seen.place * np.float32(len(meter.scale)) - np.float32(0.5), -1, 0
-        )
+        x, y = cv2.split(seen.place * len(meter.scale) - 0.5)
         even = cv2.remap(meter.scale, x, y, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
-        value = value * even.reshape(n, len(x) // n, n, -1, 3).swapaxes(1, 2).reshape(
-            value.shape
-        )
+        even = even.reshape(n, len(x) // n, n, -1, 3).swapaxes(1, 2)
+        value = value * even.reshape(value.shape)
     low = np.arange(n) >= n / 2
     patch = np.where(cells < 0, PATCHES, 4 * cells + 2 * low[:, None] + low)
     mean, spread = np.zeros((PATCHES, 3)), np.zeros((PATCHES, 3))

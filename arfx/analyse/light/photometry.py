@@ -162,8 +162,8 @@ def solve(
     known = variance is not None
     which = np.zeros(len(intensity), int) if print_ is None else print_
     parts = [_solve_channel(*c, which, known, tolerances) for c in channels]
-    most = np.inf if most_bias is None else most_bias
-    if any(p.bias > m for p, m in zip(parts, np.broadcast_to(most, 3), strict=True)):
+    bias = np.array([p.bias for p in parts])
+    if most_bias is not None and (bias > most_bias).any():
         parts = [  # then no channel's is the camera's
             bright_patches(*c, TOO_BRIGHT, p.rank, p.condition)
             for c, p in zip(channels, parts, strict=True)

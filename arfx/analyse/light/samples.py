@@ -65,7 +65,8 @@ def sample_cells(
     at = cv2.perspectiveTransform(place, turn)
     clipped = ((linear <= CLIP_LOW) | (linear >= CLIP_HIGH)).any(-1)
     read = np.dstack([linear, clipped]).astype(np.float32)
-    x, y, outside = at[..., 0], at[..., 1], (np.nan,) * 4
+    x, y = cv2.split(at)
+    outside = (np.nan,) * 4
     seen = cv2.remap(read, x, y, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, outside)
     cells = seen.reshape(n, k, n, k, 4).transpose(0, 2, 1, 3, 4).reshape(n, n, k * k, 4)
     per_sample = inner**2 * wide_px * cell_px / k**2  # px^2

@@ -3,7 +3,7 @@ honest weights."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -38,23 +38,6 @@ class Samples:
     effective: float
     lit: np.ndarray
 
-    def some_groups(self, most: int) -> Samples:
-        """Those of at most so many groups, spread over all."""
-        sizes = np.diff(self.starts)
-        if len(sizes) <= most:
-            return self
-        chosen = np.linspace(0, len(sizes) - 1, most).round().astype(int)
-        rows = np.flatnonzero(np.isin(np.repeat(np.arange(len(sizes)), sizes), chosen))
-        return replace(
-            self,
-            normals=self.normals[rows],
-            value=self.value[rows],
-            weight=self.weight[rows],
-            starts=np.append(0, np.cumsum(sizes[chosen])),
-            effective=self.effective * len(rows) / len(self.weight),
-            lit=self.lit[rows],
-        )
-
     def groups(self, gamma_sigma: float = 0.0) -> list[Group]:
         """gamma_sigma : standard deviation of the values' exponent's logarithm"""
         out = []
@@ -81,11 +64,9 @@ class Samples:
         """Of [1, n], columns of length 1: how well ambient light is told from a direction.
         lamp : n = 0 where it is not seen
         """
-        n = (
-            self.normals
-            if lamp is None
-            else self.normals * (self.normals @ lamp > 0)[:, None]
-        )
+        n = self.normals
+        if lamp is not None:
+            n = n * (n @ lamp > 0)[:, None]
         rows = np.sqrt(self.weight)[:, None] * np.column_stack([np.ones(len(n)), n])
         return condition(divide(rows, np.linalg.norm(rows, axis=0)))
 
@@ -107,20 +88,12 @@ def gather(
     lit : (g,) share of the lamps that is on in each group; then all groups are one, with
     the same light
     """
-    n, E = (
-        np.asarray(normals, float).reshape(-1, 3),
-        np.asarray(irradiance, float).reshape(-1, 3),
-    )
-    v = (
-        np.zeros(E.shape)
-        if variance is None
-        else np.broadcast_to(np.asarray(variance, float), E.shape)
-    )
+    n, E = (np.asarray(a, float).reshape(-1, 3) for a in (normals, irradiance))
+    v = np.broadcast_to(np.asarray(0 if variance is None else variance, float), E.shape)
     g = np.zeros(len(n), int) if group is None else np.asarray(group).ravel().astype(int)
     fine = np.isfinite(n).all(1) & np.isfinite(E).all(1) & np.isfinite(v).all(1)
-    with np.errstate(invalid="ignore"):
-        length = np.linalg.norm(np.where(fine[:, None], n, 0), axis=1)
-        fine &= (length > 0.5) & (v >= 0).all(1) & (v < _UNUSABLE).all(1)
+    length = np.linalg.norm(np.where(fine[:, None], n, 0), axis=1)
+    fine &= (length > 0.5) & ((v >= 0) & (v < _UNUSABLE)).all(1)
     if not fine.any():
         return None
     n, E, v, g = n[fine] / length[fine, None], E[fine], v[fine], g[fine]
@@ -134,16 +107,10 @@ def gather(
         np.array(a) for a in zip(*(_mean(n[r], E[r], v[r]) for r in rows), strict=True)
     )
     groups = key // FINE
-    coarse = np.unique(
-        np.stack([groups, nearest_cell(N, COARSE)]), axis=1, return_inverse=True
-    )[1].ravel()
+    coarse = np.unique(groups * COARSE + nearest_cell(N, COARSE), return_inverse=True)[1]
     many, floor = np.bincount(coarse)[coarse], model_error**2
     variance_of_mean = V + many * floor + _LEAST**2
-    effective = (
-        3 * float(((V + floor) / (V + many * floor + 1e-300)).sum())
-        if model_error > 0
-        else 3.0 * len(N)
-    )
+    effective = 3 * float(((V + floor + 1e-300) / (V + many * floor + 1e-300)).sum())
     starts, on = np.searchsorted(groups, np.arange(groups.max() + 2)), np.ones(len(N))
     if lit is not None:
         starts, on = np.array([0, len(N)]), np.asarray(lit, float)[np.unique(g)[groups]]

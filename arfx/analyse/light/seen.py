@@ -108,8 +108,7 @@ def with_seen(
         inverse_radius = 0.0 if still_camera else _inverse_radius(posed, up)
         first, last = posed[0].time_s, posed[-1].time_s
         times = np.linspace(first, last, 1 + int(np.ceil((last - first) / apart_s)))
-        made = [rgba.astype(np.float16) for rgba in _maps(posed, times, inverse_radius)]
-        keys[shot] = times, [_named(m, maps) for m in made]
+        keys[shot] = times, [_named(m, maps) for m in _maps(posed, times, inverse_radius)]
     out = []
     for f in facts:
         if f.camera_from_world is not None and f.shot in keys:
@@ -139,9 +138,7 @@ def given_everywhere(
     faces = turned(from_panorama(panorama, FACE_PX), np.asarray(world_from_anchor).T)
     faces = np.clip(divide(faces, faces.mean()), 0, 6e4)  # its scale means nothing
     maps: dict[str, np.ndarray] = {}
-    name = _named(
-        np.concatenate([faces, np.ones_like(faces[..., :1])], -1).astype(np.float16), maps
-    )
+    name = _named(np.concatenate([faces, np.ones_like(faces[..., :1])], -1), maps)
     seen = SeenEnvironment((name, name), 0.0)
     return (
         tuple(
@@ -153,8 +150,9 @@ def given_everywhere(
 
 
 def _named(rgba: np.ndarray, maps: dict[str, np.ndarray]) -> str:
-    name = hashlib.blake2b(rgba.tobytes(), digest_size=8).hexdigest()
-    maps[name] = rgba
+    small = rgba.astype(np.float16)
+    name = hashlib.blake2b(small.tobytes(), digest_size=8).hexdigest()
+    maps[name] = small
     return name
 
 
@@ -210,23 +208,13 @@ class _Posed:
         h, w = self.picture.shape[:2]
         along = directions @ self.camera_from_static.T
         at = self.camera.project(along + inverse_radius * self.centre_m)
-        x, y = (np.where(np.isfinite(v), v, -1e4) for v in at.T)
-        x, y = (
-            (x + 0.5) * (w / self.camera.width) - 0.5,
-            (y + 0.5) * (h / self.camera.height) - 0.5,
-        )
-        inside = np.min([x + 0.5, w - 0.5 - x, y + 0.5, h - 0.5 - y], 0) / (
-            EDGE * min(w, h)
-        )
-        weight = smoothstep(inside)
-        found = cv2.remap(
-            self.picture,
-            x.astype(np.float32),
-            y.astype(np.float32),
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
-        rgb = found.reshape(-1, 3)
+        scale = w / self.camera.width, h / self.camera.height
+        at = (np.where(np.isfinite(at), at, -1e4) + 0.5) * scale - 0.5
+        inside = np.minimum(at + 0.5, [w - 0.5, h - 0.5] - at).min(1) / (EDGE * min(w, h))
+        x, y = cv2.split(at[:, None].astype(np.float32))
+        border = cv2.BORDER_REPLICATE
+        found = cv2.remap(self.picture, x, y, cv2.INTER_LINEAR, borderMode=border)
+        rgb, weight = found.reshape(-1, 3), smoothstep(inside)
         for lamp in self.lamps:
             bright = smoothstep(
                 ((rgb * self.level).max(1) - LAMP[0]) / (LAMP[1] - LAMP[0])
@@ -264,12 +252,8 @@ def _inverse_radius(snapshots: Sequence[_Posed], up: np.ndarray) -> float:
         cost.append(
             float(divide(varied[twice].sum(), total[twice].sum(), where_zero=np.inf))
         )
-    best = min(cost)
-    return next(
-        float(i)
-        for i, c in zip(inverse, cost, strict=True)
-        if c * BETTER <= best + ALIKE or c == best
-    )
+    good = np.array(cost) * BETTER <= min(cost) + ALIKE
+    return float(inverse[good.argmax()])
 
 
 def _maps(
@@ -282,9 +266,7 @@ def _maps(
     for snapshot in snapshots:
         rgb, weight = snapshot.seen(d, inverse_radius)
         known = np.maximum(known, weight)
-        row = np.concatenate([weight[:, None] * rgb, weight[:, None]], 1).astype(
-            np.float32
-        )
+        row = np.column_stack([weight[:, None] * rgb, weight]).astype(np.float32)
         lasting += np.float32(LASTING) * row
         near = np.exp(-np.abs(times - snapshot.time_s) / NEAR_S)
         for k in np.flatnonzero(near > LASTING):

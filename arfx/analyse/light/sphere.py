@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from arfx.core.numerics import normalise
-
-if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
 
 # how many stand about so far apart
 DEG_32, DEG_16, DEG_8, DEG_4 = 42, 162, 642, 2562
@@ -23,16 +20,14 @@ def even_directions(count: int) -> np.ndarray:
     Source: Gonzalez 2010, Measurement of areas on a sphere using Fibonacci lattices."""
     k = np.arange(count) + 0.5
     z, azimuth = 1 - 2 * k / count, k * np.pi * (3 - np.sqrt(5))
-    across = (
-        np.stack([np.cos(azimuth), np.sin(azimuth)], -1) * np.sqrt(1 - z * z)[:, None]
-    )
-    out = np.column_stack([across, z])
+    across = np.stack([np.cos(azimuth), np.sin(azimuth)]) * np.sqrt(1 - z * z)
+    out = np.column_stack([*across, z])
     out.setflags(write=False)
     return out
 
 
 @lru_cache(maxsize=8)
-def _tree(count: int) -> cKDTree:
+def _tree(count: int) -> Any:
     from scipy.spatial import cKDTree
 
     return cKDTree(even_directions(count))

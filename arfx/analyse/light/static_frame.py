@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from arfx.analyse.light.brightness import brightness, common_level, steps
-from arfx.analyse.light.fit import best_verdict, span_deg
+from arfx.analyse.light.fit import span_deg
 from arfx.analyse.light.hypotheses import LIKELY, MEASURED, REFUSED
 from arfx.analyse.light.hypotheses import Params as FitParams
 from arfx.analyse.light.over_time import (
@@ -25,7 +25,12 @@ from arfx.analyse.light.over_time import (
 )
 from arfx.analyse.light.photometry import LightReading
 from arfx.analyse.light.sphere import DEG_8, nearest_cell
-from arfx.analyse.light.surroundings import EnvironmentSample, matched, soft_light
+from arfx.analyse.light.surroundings import (
+    EnvironmentSample,
+    matched,
+    scaled_to,
+    soft_light,
+)
 from arfx.analyse.params import LightParams
 from arfx.core.facts import FrameFacts
 from arfx.core.light import Light, triple
@@ -47,14 +52,6 @@ _TEMPORAL_MODELS = {
     WINDOWS: "its direction changes",
 }
 Lights = dict[int, Light]
-
-
-def scale_to(light: Light, normals: np.ndarray, radiance: np.ndarray) -> Light:
-    """The light, channel by channel as bright as white surfaces are measured, on average.
-
-    normals : (k, 3), axes of the light;  radiance : (k, 3)"""
-    shown = light.radiance(normals).mean(0)
-    return light.scaled(divide(radiance.mean(0), shown, where_zero=1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,8 +130,8 @@ class StaticFrameLight:
             of_frame = use[
                 np.searchsorted(starts, self.times_s(self.frames), side="right")
             ]
-            models = [soft, *(s.fit.light(s.group) for s in spans)]
-            lights = self._follow(models, of_frame + 1)
+            models = [*(s.fit.light(s.group) for s in spans), soft]
+            lights = self._follow(models, of_frame)
             verdict, why = best.fit.verdict_of(best.group)
             why += f"; {_TEMPORAL_MODELS[model]}"
             light = best.fit.light(best.group)
@@ -161,11 +158,9 @@ class StaticFrameLight:
         """Brightness of at most MOST_GAINS frames, over its median."""
         frames = self.frames[:: len(self.frames) // MOST_GAINS + 1]
         bright = np.array([lights[k].mean_radiance.mean() for k in frames])
-        relative = divide(bright, np.median(bright), where_zero=1.0).tolist()
-        times_s = self.times_s(frames).tolist()
-        return [
-            {"time_s": t, "relative": g} for t, g in zip(times_s, relative, strict=True)
-        ]
+        relative = divide(bright, np.median(bright), where_zero=1.0)
+        rows = np.stack([self.times_s(frames), relative], -1).tolist()
+        return [{"time_s": time_s, "relative": gain} for time_s, gain in rows]
 
     def from_given(
         self, light: Light, stated: bool, why: str
@@ -181,7 +176,7 @@ class StaticFrameLight:
                 left = (shown - light.radiance(n) + light.soft_radiance(n)).mean(0)
                 light = Light(triple(np.clip(left, 0, None)), light.lights, light.source)
             else:
-                light = scale_to(light, n, shown)
+                light = scaled_to(light, n, shown)
             lights = self._follow([light])
         return lights, self.report(ASSUMED, why, light)
 
@@ -207,9 +202,8 @@ class StaticFrameLight:
 
     def _steps_s(self) -> list[float]:
         """Times at which the light steps, beside what turning prints show."""
-        shape = matched(
-            Light.of_soft(np.zeros((9, 3)), (), ""), self.normals, self.reading.y
-        )
+        dark = Light.of_soft(np.zeros((9, 3)), (), "")
+        shape = matched(dark, self.normals, self.reading.y)
         used, level, variance = self._levels(shape.radiance(self.normals))
         if not used.any():
             return []
@@ -324,7 +318,8 @@ def fit_temporal_model(
             breaks_s,
             params,
         )
-        better = best_verdict(s.fit for s in spans)
+        verdicts = {s.fit.verdict for s in spans}
+        better = next(v for v in (MEASURED, LIKELY, REFUSED) if v in verdicts)
         if better == MEASURED or (verdict in ("", REFUSED) and better != verdict):
             found, verdict = (account, spans, reading), better
     return found

@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from arfx.analyse.light.brightness import group_means
 from arfx.analyse.light.sphere import DEG_8, nearest_cell
 from arfx.core.cube import CubeMap, face_directions, look_up, solid_angles
 from arfx.core.facts import FrameFacts
@@ -72,22 +73,21 @@ def cube_from_picture(image: np.ndarray, size: int = SIZE) -> np.ndarray:
     small = cv2.resize(
         picture, (min(w, 2 * size), min(h, 2 * size)), interpolation=cv2.INTER_AREA
     )
-    d = face_directions(size)
-    angle = np.arctan2(np.hypot(d[..., 0], d[..., 1]), d[..., 2]) / (np.pi / 2)
-    out = 1 - np.abs(1 - angle)  # 0 in the middle, 1 at the border
-    across = np.maximum(np.hypot(d[..., 0], d[..., 1]), 1e-12)
-    x = (1 + out * d[..., 0] / across) / 2 * small.shape[1] - 0.5
-    y = (1 + out * d[..., 1] / across) / 2 * small.shape[0] - 0.5
-    return _sampled_at(small, x, y, cv2.BORDER_REPLICATE)
+    across, ahead = np.split(face_directions(size), [2], -1)
+    beside = np.linalg.norm(across, axis=-1, keepdims=True)
+    # 0 in the middle, 1 at the border
+    out = 1 - np.abs(1 - np.arctan2(beside, ahead) / (np.pi / 2))
+    share = (1 + out * across / np.maximum(beside, 1e-12)) / 2
+    return _sampled_at(small, share, cv2.BORDER_REPLICATE)
 
 
-def _sampled_at(
-    picture: np.ndarray, x: np.ndarray, y: np.ndarray, border: int
-) -> np.ndarray:
-    """(6, n, n, 3) of the picture at places (6, n, n)."""
-    x, y = (a.reshape(-1, a.shape[-1]).astype(np.float32) for a in (x, y))
+def _sampled_at(picture: np.ndarray, share: np.ndarray, border: int) -> np.ndarray:
+    """(6, n, n, 3) of the picture at shares (6, n, n, 2) of its width and height."""
+    size = share.shape[1]
+    at = (share * picture.shape[1::-1] - 0.5).reshape(-1, size, 2).astype(np.float32)
+    x, y = cv2.split(at)
     out = cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=border)
-    return out.reshape(6, -1, out.shape[1], 3)
+    return out.reshape(6, size, size, 3)
 
 
 def from_panorama(picture: np.ndarray, size: int = SIZE) -> np.ndarray:
@@ -102,18 +102,13 @@ def from_panorama(picture: np.ndarray, size: int = SIZE) -> np.ndarray:
     ]
     grey = a.mean(-1)
     limit = OUTSTANDING * float((grey * solid).sum() / (solid.sum() * a.shape[1]))
-    a = np.ascontiguousarray(
-        a * np.minimum(1, limit / np.maximum(grey, max(limit, 1e-12)))[..., None],
-        np.float32,
-    )
-    a = np.asarray(
-        cv2.resize(a, (4 * size, 2 * size), interpolation=cv2.INTER_AREA), np.float32
-    )
-    d = face_directions(size)
-    x = (0.5 - np.arctan2(d[..., 1], d[..., 0]) / (2 * np.pi)) * a.shape[1] - 0.5
-    y = (0.5 - np.arcsin(np.clip(d[..., 2], -1, 1)) / np.pi) * a.shape[0] - 0.5
-    y = np.clip(y, 0, a.shape[0] - 1)
-    return _sampled_at(a, x, y, cv2.BORDER_WRAP).astype(float)
+    a = a * np.minimum(1, limit / np.maximum(grey, max(limit, 1e-12)))[..., None]
+    a = cv2.resize(a, (4 * size, 2 * size), interpolation=cv2.INTER_AREA)
+    x, y, z = np.moveaxis(face_directions(size), -1, 0)
+    across = 0.5 - np.arctan2(y, x) / (2 * np.pi)
+    half_row = 0.5 / len(a)
+    down = np.clip(0.5 - np.arcsin(z) / np.pi, half_row, 1 - half_row)
+    return _sampled_at(a, np.stack([across, down], -1), cv2.BORDER_WRAP).astype(float)
 
 
 def turned(faces: np.ndarray, source_from_dest: np.ndarray) -> np.ndarray:
@@ -166,11 +161,9 @@ def environment_sample(
     quad = (quad + 0.5) * (picture.shape[1] / width) - 0.5
     middle = quad.mean(0)
     fraction = np.linspace(0, 1, 8, endpoint=False)[:, None]
-    sides = np.concatenate(
-        [a + fraction * (b - a) for a, b in zip(quad, np.roll(quad, -1, 0), strict=True)]
-    )
-    at = np.rint(middle + AROUND * (sides - middle)).astype(int)
-    inside = ((at >= 0) & (at < [picture.shape[1], picture.shape[0]])).all(1)
+    sides = (1 - fraction) * quad[:, None] + fraction * np.roll(quad, -1, 0)[:, None]
+    at = np.rint(middle + AROUND * (sides.reshape(-1, 2) - middle)).astype(int)
+    inside = ((at >= 0) & (at < picture.shape[1::-1])).all(1)
     beside = (
         picture[at[inside, 1], at[inside, 0]] if inside.any() else picture.reshape(-1, 3)
     )
@@ -213,44 +206,37 @@ def soft_light(
     surroundings' own scale
     """
     size = samples[0].cube.shape[1]
-    directions, solid = (
-        face_directions(size).reshape(-1, 3),
-        np.tile(solid_angles(size).ravel(), 6),
-    )
+    directions = face_directions(size).reshape(-1, 3)
+    solid = np.tile(solid_angles(size).ravel(), 6)
     total, plane = np.zeros((9, 3)), np.mean([s.plane for s in samples], 0)
     sky = overhead(static_from_camera, up)
     for one, turn in zip(samples, static_from_camera, strict=True):
         d = directions @ turn.T
-        height = d @ up
-        above = (height > 0)[:, None]
-        incoming = one.cube.reshape(-1, 3)
-        even = divide(
-            (np.where(above, incoming, 0) * (solid * height)[:, None]).sum(0),
-            float((solid * np.clip(height, 0, None)).sum()),
-        )
-        incoming = (EVEN * even + (1 - EVEN) * incoming) * (1 + FROM_ABOVE * d @ sky)[
-            :, None
-        ]
-        arriving = divide(
-            (np.where(above, incoming, 0) * (solid * height)[:, None]).sum(0), np.pi
-        )
-        if (
-            shown is not None
-        ):  # a colour that the surroundings lack altogether comes evenly from all of them
-            incoming = np.where(
-                arriving > 1e-3 * np.max(shown), incoming * divide(shown, arriving), shown
-            )
-        below = np.minimum(
-            plane, arriving if shown is None else shown
-        )  # no plane is brighter than white
-        radiance = np.where(above, incoming, below)
+        facing = solid * np.clip(d @ up, 0, None)
+        seen = one.cube.reshape(-1, 3)
+        even = divide(facing @ seen, facing.sum())
+        brighter = (1 + FROM_ABOVE * d @ sky)[:, None]
+        incoming = (EVEN * even + (1 - EVEN) * seen) * brighter
+        white = facing @ incoming / np.pi
+        if shown is not None:
+            # a colour that the surroundings lack altogether comes evenly from all of them
+            known = white > 1e-3 * np.max(shown)
+            incoming = np.where(known, incoming * divide(shown, white), shown)
+            white = shown
+        # no plane is brighter than white
+        radiance = np.where((facing > 0)[:, None], incoming, np.minimum(plane, white))
         total += soft_of(radiance.reshape(one.cube.shape), turn)
     light = Light.of_soft(total / len(samples), (), "environment")
-    if shown is None:
-        return light
-    return light.scaled(
-        divide(shown, light.radiance(up), where_zero=1.0)
-    )  # what degree 2 rounds off
+    # what degree 2 rounds off
+    return light if shown is None else scaled_to(light, up[None], shown[None])
+
+
+def scaled_to(light: Light, normals: np.ndarray, radiance: np.ndarray) -> Light:
+    """The light, channel by channel as bright as white surfaces are measured, on average.
+
+    normals : (k, 3), axes of the light;  radiance : (k, 3)"""
+    shown = light.radiance(normals).mean(0)
+    return light.scaled(divide(radiance.mean(0), shown, where_zero=1.0))
 
 
 def matched(light: Light, normals: np.ndarray, shown: np.ndarray) -> Light:
@@ -262,17 +248,13 @@ def matched(light: Light, normals: np.ndarray, shown: np.ndarray) -> Light:
     the whole light, many shape it. Never below 0 where it was measured to be above."""
     cell = nearest_cell(normals, DEG_8)
     rows, where = np.unique(cell, return_inverse=True)
-    count = np.bincount(where, minlength=len(rows))
-    n = normalise(np.stack([np.bincount(where, normals[:, i]) for i in range(3)], -1))
-    want = (
-        np.stack([np.bincount(where, shown[:, c]) for c in range(3)], -1) / count[:, None]
-    )
-    basis = harmonics(n)
+    equal = np.ones(len(cell))
+    basis = harmonics(normalise(group_means(where, normals, equal)))
     soft = np.array(light.soft, float)
+    missing = group_means(where, shown, equal) - basis @ soft
     rough = np.diag(np.repeat([0.0, 1.0, 4.0], [1, 3, 5])) * RIDGE + 1e-9 * np.eye(9)
-    soft = soft + np.linalg.solve(
-        basis.T @ basis / len(rows) + rough, basis.T @ (want - basis @ soft) / len(rows)
-    )
+    normal = basis.T @ basis / len(rows) + rough
+    soft = soft + np.linalg.solve(normal, basis.T @ missing / len(rows))
     return Light.of_soft(soft, (), light.source)
 
 
