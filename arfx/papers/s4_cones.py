@@ -83,10 +83,8 @@ def cone_trace(
     steps : of `cone_steps`
     scaled : radiance counts as much as the step's opacity does, however a way is cut into steps
     """
-    start, d = (
-        volumes.in_voxels(positions_m),
-        np.ascontiguousarray(directions, np.float32),
-    )
+    start = volumes.in_voxels(positions_m).astype(np.float32)
+    d = np.ascontiguousarray(directions, np.float32)
     parts = parallel_rows(
         lambda a, b: _cone_trace(volumes.tree, V, steps, start[a:b], d[a:b], scaled),
         len(start),
@@ -103,40 +101,21 @@ def _cone_trace(
     out = np.zeros((start.shape[0], directions.shape[1], 4), np.float32)
     seen, above = np.empty((2, 4), np.float32)
     size, half, one = np.float32(1 << tree.depth), np.float32(0.5), np.float32(1)
-    around = half * np.float32(2) ** steps[-1, 1] if steps.shape[0] else half
     for i in range(start.shape[0]):
         for c in range(directions.shape[1]):
             d = directions[i, c]
             transmittance = one
-            enters, leaves = np.float32(0), np.float32(1e30)
-            for axis in range(
-                3
-            ):  # the cube, and how far around it the coarsest voxels are felt
-                slope = d[axis] if abs(d[axis]) > np.float32(1e-9) else np.float32(1e-9)
-                a, e = (
-                    (-around - start[i, axis]) / slope,
-                    (size + around - start[i, axis]) / slope,
-                )
-                enters, leaves = max(enters, min(a, e)), min(leaves, max(a, e))
             for k in range(steps.shape[0]):
                 t, level, exponent = steps[k, 0], int(steps[k, 1]), steps[k, 2]
                 coarser = steps[k, 1] - np.float32(level)
-                if t < enters:
-                    continue
-                if t > leaves:
-                    break
-                s = np.float32(1 << level) * (one + coarser)
-                outside = False
-                for axis in range(3):
-                    p = start[i, axis] + t * d[axis]
-                    outside = outside or p < -half * s or p > size + half * s
-                if outside:
-                    continue
+                reach = half * np.float32(1 << level) * (one + coarser)
                 at = (
                     start[i, 0] + t * d[0],
                     start[i, 1] + t * d[1],
                     start[i, 2] + t * d[2],
                 )
+                if min(at) < -reach or max(at) > size + reach:
+                    continue
                 sample(tree, V, level, at, d, seen)
                 if coarser > 0:
                     sample(tree, V, level + 1, at, d, above)
