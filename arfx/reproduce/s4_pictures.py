@@ -7,6 +7,7 @@ short form cones take its place), and for a mirror ball through the whole synthe
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,8 +15,6 @@ import numpy as np
 from arfx.core.layers import Layer
 from arfx.core.stage import level_named
 from arfx.measure.difference import difference, touched
-from arfx.papers import CORRECTED as CORRECTED_FORMULA
-from arfx.papers import PAPER
 from arfx.reproduce.rows import (
     BEFORE,
     CORRECTED,
@@ -28,15 +27,7 @@ from arfx.reproduce.rows import (
     row,
 )
 from arfx.reproduce.s4_mirror import mirrored_room
-from arfx.reproduce.s4_scenes import (
-    FLAT_LAMP,
-    LAMP,
-    Settings,
-    flat_scene,
-    room,
-    settings,
-    under,
-)
+from arfx.reproduce.s4_scenes import LAMP, flat_scene, methods, room
 from arfx.reproduce.work import Shot, Work
 
 
@@ -73,9 +64,8 @@ def pictures(work: Work) -> Iterator[Item]:
             " light alone",
         ),
     ):
-        yield from beside_reference(
-            work, item, title, model, settings(work, model, fit, LAMP, **gi), why
-        )
+        settings = methods(work, model, fit, LAMP, **gi)
+        yield from beside_reference(work, item, title, settings, model == "mirror", why)
     yield from rates(work)
 
 
@@ -83,16 +73,13 @@ def on_the_plane(work: Work) -> Iterator[Row]:
     """What indirect light alone changes of a grey plane beside a cube: linear light, mean
     of the pixels around the cube.
     """
-    changes = {}
-    for model in ("black-cube", "red-cube"):
-        given = settings(work, model, "8cm", FLAT_LAMP, plane_gloss=0.0)
-        for formula in (PAPER, CORRECTED_FORMULA):
-            shot = work.shot(flat_scene(work), 1, settings=under(work, formula, given))
+    red, black = [], []
+    for model, changes in (("black-cube", black), ("red-cube", red)):
+        for settings in methods(work, model, "8cm", plane_gloss=0.0).values():
+            shot = work.shot(flat_scene(work), 1, settings=settings)
             changed = shot.layer(Layer.IMAGE) - without_planes(shot).layer(Layer.IMAGE)
-            changes[model, formula] = changed[ring(shot.layer(Layer.COVERAGE))].mean(0)
-    printed, corrected = (
-        float(changes["red-cube", f] @ [1, -1, 0]) for f in (PAPER, CORRECTED_FORMULA)
-    )
+            changes.append(changed[ring(shot.layer(Layer.COVERAGE))].mean(0))
+    printed, corrected = (float(change @ [1, -1, 0]) for change in red)
     yield row(
         "step 2, delta volume: red that a red cube gives the plane",
         "V_Δ = V_ρ - V_μ",
@@ -103,9 +90,7 @@ def on_the_plane(work: Work) -> Iterator[Row]:
         " subtracts it",
         printed < 0,
     )
-    printed, corrected = (
-        float(changes["black-cube", f].mean()) for f in (PAPER, CORRECTED_FORMULA)
-    )
+    printed, corrected = (float(change.mean()) for change in black)
     yield row(
         "step 2, delta volume: what a black cube takes from the plane",
         "the object's shadow is in V_Δ",
@@ -126,22 +111,18 @@ def without_planes(shot: Shot) -> Shot:
 def ring(coverage: np.ndarray) -> np.ndarray:
     """(h, w) bool: pixels beside what is covered."""
     covered = (coverage > 0).astype(np.uint8)
-    wide = cv2.dilate(
-        covered, np.ones((2 * (coverage.shape[0] // 12) + 1,) * 2, np.uint8)
-    )
-    return np.asarray((wide > 0) & (covered == 0))
+    side = 2 * (len(coverage) // 12) + 1
+    return cv2.dilate(covered, np.ones((side, side), np.uint8)) > covered
 
 
 def beside_reference(
-    work: Work, item: str, title: str, model: str, given: Settings, reason: str
+    work: Work, item: str, title: str, settings: dict[str, Any], mirror: bool, reason: str
 ) -> Iterator[Item]:
     """One frame by both methods and by traced rays; the mean error where the effect touches
     the picture.
     """
-    shots = {
-        name: work.shot(room(work), 1, settings=under(work, formula, given))
-        for name, formula in ((PRINTED, PAPER), (CORRECTED, CORRECTED_FORMULA))
-    }
+    clip = room(work)
+    shots = {name: work.shot(clip, 1, settings=given) for name, given in settings.items()}
     made = {name: shot.picture() for name, shot in shots.items()}
     best = shots[CORRECTED]
     levels = {
@@ -149,9 +130,9 @@ def beside_reference(
         for name, stage in best.job.stages.items()
     }
     made[REFERENCE] = best.renderer.image(best.renderer.chain(levels))
-    if model == "mirror":
-        made[REFERENCE] = mirrored_room(room(work), best, made[REFERENCE])
-    before = shots[PRINTED].renderer.original()
+    if mirror:
+        made[REFERENCE] = mirrored_room(clip, best, made[REFERENCE])
+    before = best.renderer.original()
     where = touched(*((before, picture) for picture in made.values()))
     off = [
         difference(made[REFERENCE], made[name], where).mean
@@ -170,12 +151,10 @@ def beside_reference(
 
 def rates(work: Work) -> Iterator[Item]:
     """Whole jobs with a teapot."""
-    given = settings(work, work.scaled("red-teapot", "red-cube"), "13cm", LAMP)
-    timed = {
-        f: work.timed(room(work), settings=under(work, f, given))
-        for f in (PAPER, CORRECTED_FORMULA)
-    }
-    size = f"{room(work).scene.clip.width} x {room(work).scene.clip.height}"
+    settings = methods(work, work.scaled("red-teapot", "red-cube"), "13cm", LAMP)
+    clip = room(work)
+    timed = {name: work.timed(clip, settings=given) for name, given in settings.items()}
+    size = f"{clip.scene.clip.width} x {clip.scene.clip.height}"
     printed, corrected = timed.values()
     why = (
         "the paper names real time as its aim, and no rate, picture size or machine; it"
@@ -190,14 +169,14 @@ def rates(work: Work) -> Iterator[Item]:
     )
     words, unit = "voxels in the memory of the graphics card", "MB of the whole process"
     yield row("memory", words, (printed.peak_mb, corrected.peak_mb), unit, why)
-    stages = sorted({name for t in timed.values() for name in t.stage_s})
+    stages = sorted(printed.stage_s | corrected.stage_s)
     yield Bars(
         "frame rate",
         "time of a frame by stage",
         "ms",
         stages,
         {
-            name: [1e3 * t.stage_s.get(s, 0.0) for s in stages]
-            for name, t in ((PRINTED, printed), (CORRECTED, corrected))
+            name: [1e3 * t.stage_s.get(stage, 0.0) for stage in stages]
+            for name, t in timed.items()
         },
     )

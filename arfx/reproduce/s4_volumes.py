@@ -8,16 +8,15 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from arfx.core.scene import Scene
-from arfx.papers import CORRECTED as CORRECTED_FORMULA
-from arfx.papers import PAPER
+from arfx.core.numerics import arccos
+from arfx.measure.difference import level_difference
 from arfx.papers.s4_cones import cone_trace
-from arfx.papers.s4_plane import real_and_virtual, real_scene, step1_mesh
+from arfx.papers.s4_plane import step1_mesh
 from arfx.papers.s4_shadow_maps import shadow_maps, step2_radiance
 from arfx.papers.s4_volumes import Volumes, octree_of, step2_volumes
 from arfx.papers.s4_voxels import Volume
 from arfx.reproduce.rows import Bars, Item, Row, row
-from arfx.reproduce.s4_scenes import FLAT_LAMP, flat_scene, settings, under
+from arfx.reproduce.s4_scenes import flat_scene, flat_with, methods
 from arfx.reproduce.work import Work, shot_of
 from arfx.stages.gi.reference_scene import RayScene
 
@@ -28,25 +27,22 @@ N = 16  # voxels a side of a small volume
 
 
 def volumes(work: Work) -> Iterator[Item]:
-    given = settings(work, "red-cube", "8cm", FLAT_LAMP)
-    yield from light(work.planned(flat_scene(work), settings=given).scene)
+    yield from light(work)
     yield from filtering()
     yield from memory(work)
     yield empty(work)
 
 
-def light(scene: Scene) -> Iterator[Row]:
+def light(work: Work) -> Iterator[Row]:
     """A red cube on a grey plane under one light."""
+    scene = flat_with(work, "red-cube", "8cm")
     mesh = step1_mesh(scene, ALBEDO)
-    real = RayScene(real_scene(scene, mesh))
-    virtual = RayScene(scene)
-    made = step2_volumes(real_and_virtual(scene, mesh), scene, 64)
+    real, virtual = RayScene(mesh), RayScene(scene)
+    made = step2_volumes(mesh, scene, 64)
     lowest = made.rows_of(0)
-    eta = made.tree.eta[lowest]
-    beside = made.leaf_of(
-        np.array([[0.06, 0.05, 1e-6], [-0.06, 0.05, 1e-6], [0.06, -0.05, 1e-6]])
-    )
-    tilt = np.degrees(np.arccos(np.clip(eta[beside, 2] / eta[beside, 3], -1, 1))).max()
+    places = np.array([[0.06, 0.05, 1e-6], [-0.06, 0.05, 1e-6], [0.06, -0.05, 1e-6]])
+    eta = made.tree.eta[lowest][made.leaf_of(places)]
+    tilt = np.degrees(arccos(eta[:, 2] / eta[:, 3])).max()
     yield row(
         "step 2, V_η: normal of the plane's voxels",
         "voxels hold normals",
@@ -76,9 +72,7 @@ def light(scene: Scene) -> Iterator[Row]:
         not (apart & ~shows).any() and apart.any(),
     )
     fields = step2_radiance(made, real, virtual, [(TOWARDS, RGB)])
-    V_rho, V_mu, V_delta = (
-        v[lowest] for v in (fields.V_rho, fields.V_mu, fields.V_delta)
-    )
+    V_rho, V_mu, V_delta = (field[lowest] for field in fields)
     shadow = V_delta[made.leaf_of(np.array([[-0.05, 0.0, 1e-6]]))[0], 0]
     yield row(
         "step 2, split injection: V_Δ in the object's shadow",
@@ -116,9 +110,8 @@ def small(cells: np.ndarray, alpha: float = 1.0, stored: bool = False) -> Volume
     stored : of `step2_mean`
     """
     cube = Volume(N, (0.0, 0.0, 0.0), 1.0)
-    return octree_of(
-        cube, cells, np.zeros((len(cells), 3)), np.full(len(cells), alpha), stored
-    )
+    none, opacity = np.zeros((len(cells), 3)), np.full(len(cells), alpha)
+    return octree_of(cube, cells, none, opacity, stored)
 
 
 def ray(
@@ -126,21 +119,17 @@ def ray(
     cells: np.ndarray,
     steps: Sequence[Sequence[float]],
     start: Sequence[float],
-) -> tuple[np.ndarray, np.ndarray]:
+) -> list[np.ndarray]:
     """(4,) radiance and what is left behind a ray along x through voxels that glow as
     bright as they are opaque: as printed, and with means of stored children and radiance in
     proportion to a step's opacity."""
     taken, glow = np.array(steps, np.float32), np.full((len(cells), 3), alpha)
-    made = []
+    place, along, made = np.array([start]), np.array([[[1.0, 0, 0]]]), []
     for better in (False, True):
         volumes = small(cells, alpha, better)
         V = volumes.filtered(glow, better)
-        made.append(
-            cone_trace(
-                volumes, V, taken, np.array([start]), np.array([[[1.0, 0, 0]]]), better
-            )[0, 0]
-        )
-    return made[0], made[1]
+        made.append(cone_trace(volumes, V, taken, place, along, better)[0, 0])
+    return made
 
 
 def filtering() -> Iterator[Row]:
@@ -182,47 +171,42 @@ def filtering() -> Iterator[Row]:
 
 def memory(work: Work) -> Iterator[Item]:
     """Of all volumes of a teapot and the plane under it, beside arrays."""
-    scene = work.planned(
-        flat_scene(work), settings=settings(work, "red-teapot", "12cm", FLAT_LAMP)
-    ).scene
-    mesh, sides = step1_mesh(scene, ALBEDO), (64, 128, 256)
-    both = real_and_virtual(scene, mesh)
-    dense, printed = [], []
-    for n in sides:
-        sparse_bytes, dense_bytes = step2_volumes(both, scene, n).memory_bytes(CHANNELS)
-        dense.append(dense_bytes / 2**20)
-        printed.append(sparse_bytes / 2**20)
+    scene = flat_with(work, "red-teapot", "12cm")
+    mesh, made = step1_mesh(scene, ALBEDO), {}
+    for n in (64, 128, 256):
+        printed, dense = (
+            size / 2**20 for size in step2_volumes(mesh, scene, n).memory_bytes(CHANNELS)
+        )
+        made[f"{n}³"] = printed, dense
         yield row(
             f"step 2, memory of the volumes at {n}³ voxels",
             "empty voxels are not stored",
-            printed[-1],
-            f"MB; arrays of all voxels {dense[-1]:.4g}",
+            printed,
+            f"MB; arrays of all voxels {dense:.4g}",
             "as much as arrays of all voxels",
-            printed[-1] < 0.2 * dense[-1],
+            printed < 0.2 * dense,
         )
+    sparse, arrays = zip(*made.values(), strict=True)
     yield Bars(
-        f"step 2, memory of the volumes at {sides[-1]}³ voxels",
+        f"step 2, memory of the volumes at {n}³ voxels",
         "a teapot",
         "MB",
-        [f"{n}³" for n in sides],
-        {"arrays of all voxels": dense, "printed method": printed},
+        list(made),
+        {"arrays of all voxels": arrays, "printed method": sparse},
     )
 
 
 def empty(work: Work) -> Row:
     """An object that is out of the light's and the camera's way: high over both."""
-    given = settings(work, "red-cube", "8cm", FLAT_LAMP)
-    given["model"] = {**given["model"], "offset": ["0m", "0m", "3m"]}
     changed = []
-    for formula in (PAPER, CORRECTED_FORMULA):
-        job = work.planned(flat_scene(work), settings=under(work, formula, given))
-        shot = shot_of(job, 1) if job.plan.frames[1].steps else None
-        after = (
-            None
-            if shot is None
-            else shot.picture().astype(int) - shot.renderer.original()
-        )
-        changed.append(0.0 if after is None else float(np.abs(after).max()))
+    for settings in methods(work, "red-cube", "8cm").values():
+        settings["model"]["offset"] = ["0m", "0m", "3m"]
+        job = work.planned(flat_scene(work), settings=settings)
+        most = 0.0
+        if job.plan.frames[1].steps:
+            shot = shot_of(job, 1)
+            most = level_difference(shot.picture(), shot.renderer.original()).max()
+        changed.append(most)
     return row(
         "step 2, change of the picture by an empty V_Δ",
         "none, as follows",
