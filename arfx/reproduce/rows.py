@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -85,22 +85,21 @@ def row(
         v.item() if isinstance(v, (np.generic, np.ndarray)) else v for v in pair
     )
     if holds is None and isinstance(printed, str):
-        text, number = printed, as_number(printed)
         known = [value for value in (of_paper, corrected) if value is not None]
-        holds = all(_agrees(value, text, tolerance) for value in known)
-        printed = text if number is None else number
+        number = as_number(printed)
+        if number is None:
+            holds = all(value == printed for value in known)
+        else:
+            within = half_digit(printed) if tolerance is None else tolerance
+            holds = all(
+                isinstance(value, (int, float))
+                and abs(value - number) <= within * (1 + 1e-9)
+                for value in known
+            )
+            printed = number
     verdict = UNDERIVED if of_paper is None else HOLDS if holds else DIFFERS
-    if verdict == HOLDS:
-        reason = ""
+    reason = "" if verdict == HOLDS else reason
     return Row(item, printed, of_paper, corrected, reason, unit, verdict)
-
-
-def _agrees(value: float | str, printed: str, tolerance: float | None) -> bool:
-    number = as_number(printed)
-    if number is None or isinstance(value, str):
-        return value == printed
-    within = half_digit(printed) if tolerance is None else tolerance
-    return abs(value - number) <= within * (1 + 1e-9)
 
 
 def as_number(text: str) -> float | None:
@@ -111,8 +110,7 @@ def as_number(text: str) -> float | None:
     return value if math.isfinite(value) else None
 
 
-@dataclass(frozen=True, eq=False)
-class Figure:
+class Figure(NamedTuple):
     """Pictures of a figure of a paper, side by side.
 
     item : of the row that speaks of it;  title : what is seen
@@ -126,8 +124,7 @@ class Figure:
     pictures: Mapping[str, np.ndarray]
 
 
-@dataclass(frozen=True, eq=False)
-class Plot:
+class Plot(NamedTuple):
     """A plot in place of a table or curve.
 
     item : of a row that speaks of it;  figure : of matplotlib
@@ -138,8 +135,7 @@ class Plot:
     figure: Any
 
 
-@dataclass(frozen=True, eq=False)
-class Bars:
+class Bars(NamedTuple):
     """A plot of a table: a group of bars for each label, a colour for each series (printed,
     printed method, corrected …).
 

@@ -111,9 +111,8 @@ def panoramas(work: Work) -> Figure:
     around = np.stack([x, y, z], -1).reshape(-1, 3)
     pictures = {BEFORE: frame.original()}
     for name, folded in FOLDED.items():
-        radiance = np.clip(look_up(folded(frame.plate, 64), around), 0, 1)
-        coded = np.rint(255 * SRGB.encode(radiance)).astype(np.uint8)
-        pictures[name] = coded.reshape(*x.shape, 3)
+        radiance = look_up(folded(frame.plate, 64), around).reshape(*x.shape, 3)
+        pictures[name] = SRGB.encode(np.clip(radiance, 0, 1))
     return Figure(
         "step 3, seams of the environment",
         "all that is around, out of one picture",
