@@ -26,6 +26,7 @@ from arfx.reproduce.rows import (
     Item,
     Row,
     Value,
+    eight_bit,
 )
 from arfx.reproduce.work import Work
 from arfx.run.folder import write
@@ -120,11 +121,3 @@ def captioned(shown: Figure) -> Iterator[tuple[np.ndarray, str]]:
         )
         yield picture, words
         yield error_map(other, picture), f"{name} less {against}, × {TIMES} about grey"
-
-
-def eight_bit(coded: np.ndarray) -> np.ndarray:
-    """(h, w, 3) uint8 of coded values 0..1, of one channel or three; of uint8 as they are."""
-    if coded.dtype == np.uint8:
-        return coded
-    out = np.round(255 * np.clip(coded, 0, 1)).astype(np.uint8)
-    return out if out.ndim == 3 else np.dstack([out] * 3)

@@ -168,6 +168,14 @@ def curves(
     return Plot(item, title, figure)
 
 
+def eight_bit(coded: np.ndarray) -> np.ndarray:
+    """(h, w, 3) uint8 of coded values 0..1, of one channel or three; of uint8 as they are."""
+    if coded.dtype == np.uint8:
+        return coded
+    out = np.round(255 * np.clip(coded, 0, 1)).astype(np.uint8)
+    return out if out.ndim == 3 else np.dstack([out] * 3)
+
+
 COLOURS = (
     "#8b949e",
     "#d9822b",

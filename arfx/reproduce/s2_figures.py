@@ -18,17 +18,10 @@ from arfx.reproduce.rows import (
     REFERENCE,
     Figure,
     Item,
+    eight_bit,
     row,
 )
-from arfx.reproduce.s2_scene import (
-    BALL_M,
-    ball_model,
-    desk,
-    desk_shot,
-    photograph,
-    room_model,
-    under,
-)
+from arfx.reproduce.s2_scene import BALL_M, desk, desk_shot, models, photograph, under
 from arfx.reproduce.work import Shot, Work
 from arfx.stages import STAGES
 from arfx.synth.description import DepthInput
@@ -46,7 +39,8 @@ Pictures = Mapping[str, np.ndarray]  # of the desk: BEFORE, GAUSSIAN, and the us
 
 def rows(work: Work) -> Iterator[Item]:
     scene = desk(work)
-    shot = desk_shot(work, work.clip(scene), ball_model(work))
+    ball, room_model = models(work).values()
+    shot = desk_shot(work, work.clip(scene), ball)
     made = {
         BEFORE: shot.renderer.image(shot.up_to("composite")),
         GAUSSIAN: under(shot, "gaussian").picture(),
@@ -70,10 +64,9 @@ def rows(work: Work) -> Iterator[Item]:
     yield from _points(shot, made, points_m)
     yield from _in_focus(shot, made[BEFORE])
     yield from _out_of_focus(shot, made)
-    bare = work.clip(
-        scene.model_copy(update={"depth": DepthInput(), "samples": 1})
-    )  # no real thing stands before the model
-    room = desk_shot(work, bare, room_model(work))
+    # no real thing stands before the model
+    bare = scene.model_copy(update={"depth": DepthInput(), "samples": 1})
+    room = desk_shot(work, work.clip(bare), room_model)
     yield Figure(
         "section 4, all-virtual scene",
         "nothing of the footage is left: desk, wall and both balls are a model",
@@ -107,19 +100,15 @@ def _diagrams() -> Iterator[Item]:
 
 def _coordinates(shot: Shot, picture: np.ndarray, camera_m: np.ndarray) -> Iterator[Item]:
     """The axes of the world, drawn into the picture. camera_m : where the camera stands"""
-    facts, drawn = shot.facts, picture.copy()
-    points = shot.job.scene.camera.project(
-        facts.pose.apply(0.08 * np.vstack([np.zeros(3), np.eye(3)]))
-    )
-    start, *ends = ((round(float(x)), round(float(y))) for x, y in points)
+    pose, drawn = shot.facts.pose, picture.copy()
+    ends = pose.apply(0.08 * np.vstack([np.zeros(3), np.eye(3)]))
+    points = np.rint(shot.job.scene.camera.project(ends)).astype(int)
     for end, colour in zip(
-        ends, ((220, 40, 30), (40, 170, 40), (40, 60, 220)), strict=True
+        points[1:], ((220, 40, 30), (40, 170, 40), (40, 60, 220)), strict=True
     ):
-        cv2.line(drawn, start, end, colour, 2, cv2.LINE_AA)
-    found = (
-        "axes from a marker; the camera is"
-        f" {1e3 * np.linalg.norm(facts.pose.inverse().translation_m - camera_m):.1f} mm off"
-    )
+        cv2.line(drawn, points[0], end, colour, 2, cv2.LINE_AA)
+    off_mm = 1e3 * np.linalg.norm(pose.inverse().translation_m - camera_m)
+    found = f"axes from a marker; the camera is {off_mm:.1f} mm off"
     yield row(
         "figure 5",
         "axes from feature points",
@@ -143,8 +132,7 @@ def _steps(shot: Shot, made: Pictures) -> Iterator[Item]:
         now, shot.facts, scene, stage.prepare(scene, "standard")
     )
     coded = SRGB.encode(now[Layer.IMAGE]).astype(np.float32)
-    blurred = _bytes(stage.blurred(coded, dioptre))
-    luminance = coded @ yuv_from_rgb("bt601")[0]
+    blurred = eight_bit(stage.blurred(coded, dioptre))
     yield row(
         "figure 6",
         "depth with blur factor; luminance",
@@ -157,13 +145,9 @@ def _steps(shot: Shot, made: Pictures) -> Iterator[Item]:
     textures = {
         "depth, nearer is brighter": dioptre / dioptre.max(),
         "blur factor a": a,
-        "luminance": luminance,
+        "luminance": coded @ yuv_from_rgb("bt601")[0],
     }
-    yield Figure(
-        "figure 6",
-        "textures",
-        {name: _bytes(np.dstack([t] * 3)) for name, t in textures.items()},
-    )
+    yield Figure("figure 6", "textures", textures)
     yield row(
         "figure 9",
         "the scene before",
@@ -251,10 +235,10 @@ def _points(shot: Shot, made: Pictures, points_m: np.ndarray) -> Iterator[Item]:
 
 def _in_focus(shot: Shot, before: np.ndarray) -> Iterator[Item]:
     closed = {
-        name: under(shot, formula, aperture_px=0.4).picture()
-        for name, formula in ((PRINTED, PAPER), (CORRECTED, CORRECTED))
+        PRINTED: under(shot, PAPER, aperture_px=0.4).picture(),
+        CORRECTED: under(shot, CORRECTED, aperture_px=0.4).picture(),
     }
-    changed = [float((picture != before).mean()) for picture in closed.values()]
+    changed = [(picture != before).mean() for picture in closed.values()]
     yield row(
         "figure 14",
         "all in focus, nothing blurred",
@@ -267,15 +251,15 @@ def _in_focus(shot: Shot, before: np.ndarray) -> Iterator[Item]:
 
 
 def _out_of_focus(shot: Shot, made: Pictures) -> Iterator[Item]:
-    camera, before = shot.job.scene.camera, made[BEFORE]
-    kept: dict[str, list[str]] = {name: [] for name in made}
-    for ball, (centre, radius_m) in BALLS_M.items():
-        middle = shot.facts.pose.apply(np.array([centre]))
-        where = camera.project(middle)[0], camera.fx * radius_m / middle[0, 2]
-        for name, picture in made.items():
-            share = _steepest(picture, *where) / _steepest(before, *where)
-            kept[name].append(f"{ball} {100 * share:.0f} %")
-    words = {name: ", ".join(of) for name, of in kept.items()}
+    camera, words = shot.job.scene.camera, {}
+    for name, picture in made.items():
+        kept = []
+        for ball, (centre, radius_m) in BALLS_M.items():
+            middle = shot.facts.pose.apply(np.array([centre]))
+            where = camera.project(middle)[0], camera.fx * radius_m / middle[0, 2]
+            share = _steepest(picture, *where) / _steepest(made[BEFORE], *where)
+            kept.append(f"{ball} {100 * share:.0f} %")
+        words[name] = ", ".join(kept)
     yield row(
         "figure 15",
         "both balls blurred alike",
@@ -285,10 +269,8 @@ def _out_of_focus(shot: Shot, made: Pictures) -> Iterator[Item]:
         " As printed outlines stay, since what stands in front does not flow into what is"
         " behind, and the sharp picture shows through the blend",
     )
-    height, width = before.shape[:2]
-    part = np.s_[
-        int(0.4 * height) : int(0.85 * height), int(0.1 * width) : int(0.7 * width)
-    ]
+    y, x = np.array(made[BEFORE].shape[:2])[:, None] * [[0.4, 0.85], [0.1, 0.7]]
+    part = tuple(slice(*of.astype(int)) for of in (y, x))
     near = {
         name: np.ascontiguousarray(p[part]) for name, p in _without_gaussian(made).items()
     }
@@ -302,10 +284,6 @@ def _out_of_focus(shot: Shot, made: Pictures) -> Iterator[Item]:
     yield Figure("figure 16", "the same by an open lens", {REFERENCE: near[REFERENCE]})
 
 
-def _bytes(coded: np.ndarray) -> np.ndarray:
-    return np.rint(255 * np.clip(coded, 0, 1)).astype(np.uint8)
-
-
 def _levels(a: np.ndarray, b: np.ndarray) -> float:
     """Mean difference in grey levels."""
     return float(np.abs(a.astype(float) - b).mean())
@@ -315,14 +293,11 @@ def _spread(picture: np.ndarray, at: np.ndarray) -> float:
     """Pixels of a bright point, on average: those around it that are brighter than the wall
     there.
     """
-    luma, half = (
-        picture @ np.array([0.299, 0.587, 0.114]),
-        round(0.035 * picture.shape[1]),
-    )
+    luma, half = picture @ [0.299, 0.587, 0.114], round(0.035 * picture.shape[1])
     found = []
     for x, y in np.rint(at).astype(int):
         part = luma[max(y - half, 0) : y + half + 1, x - half : x + half + 1]
-        found.append(int((part > np.median(part) + BRIGHTER).sum()))
+        found.append((part > np.median(part) + BRIGHTER).sum())
     return float(np.mean(found))
 
 
@@ -331,9 +306,8 @@ def _steepest(picture: np.ndarray, centre: np.ndarray, radius: float) -> float:
     rows around its middle.
     """
     x, y = np.rint(centre).astype(int)
-    found = []
-    for side in (-1, 1):
-        edge, reach = round(x + side * radius), max(round(0.35 * radius), 2)
+    reach, found = max(round(0.35 * radius), 2), []
+    for edge in (round(x - radius), round(x + radius)):
         part = picture[y - reach : y + 1, edge - reach : edge + reach + 1].astype(float)
-        found += list(np.abs(np.diff(part, axis=1)).max((1, 2)))
+        found.append(np.abs(np.diff(part, axis=1)).max((1, 2)))
     return float(np.mean(found))
