@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from typing import Any, NamedTuple
@@ -184,3 +184,4 @@ COLOURS = (
 )  # printed, printed method, corrected, reference
 
 Item = Row | Figure | Plot | Bars
+Items = Iterator[Item]

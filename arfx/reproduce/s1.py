@@ -6,19 +6,19 @@ lamp."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from functools import reduce
 from typing import Any
 
 import cv2
 import numpy as np
 
+from arfx.config.load import merge
 from arfx.core.cube import look_up
 from arfx.core.layers import Layer
 from arfx.core.light import DirectionalLight, Light, triple
 from arfx.core.numerics import angle_between, divide, normalise
 from arfx.measure.difference import level_difference
 from arfx.media.models import load_model
-from arfx.papers import PAPER
 from arfx.papers.s1_light import PrintedLightParams, hemisphere, triangles, upright
 from arfx.papers.s1_lightmap import printed_map
 from arfx.reproduce import s1_equations
@@ -29,13 +29,14 @@ from arfx.reproduce.rows import (
     REFERENCE,
     Bars,
     Figure,
-    Item,
+    Items,
     row,
 )
 from arfx.reproduce.s1_scenes import AMBIENT, SITUATIONS, Lamp, turned_card
-from arfx.reproduce.work import DEFAULTS, Settings, Shot, Work
+from arfx.reproduce.work import AS_PRINTED, DEFAULTS, Settings, Shot, Work
 
 NO_SHADOW: Settings = {"lightmap": {"shadow_strength": 0.0, "self_shadow": 0.0}}
+METHODS = AS_PRINTED, DEFAULTS
 HEMISPHERE_PX = 320  # a side of its picture
 # between neighbouring triangles' middles: a direction cannot be found better by peaks
 NEAR_DEG = 8.0
@@ -51,7 +52,7 @@ LUMPS = (
 )
 
 
-def rows(work: Work) -> Iterator[Item]:
+def rows(work: Work) -> Items:
     yield from s1_equations.rows(work)
     first, second = (Situation(work, lamp) for lamp in SITUATIONS)
     yield from equation_3(first)
@@ -82,8 +83,9 @@ class Situation:
         azimuth, elevation, _ = lamp
         self.words = f"lamp at azimuth {azimuth:g}, elevation {elevation:g} degrees"
 
-    def shot(self, formula: str, settings: Settings = DEFAULTS) -> Shot:
-        return self.work.shot(self.clip, self.last, formula, {**self.model, **settings})
+    def shot(self, *settings: Settings) -> Shot:
+        merged = reduce(merge, settings, self.model)
+        return self.work.shot(self.clip, merged, self.last)
 
     def lamp_in_world(self, shot: Shot) -> np.ndarray:
         """In the card's axes in the last frame; the room's are the card's in the first. The
@@ -104,11 +106,11 @@ def facts_light(shot: Shot) -> Light:
     return light
 
 
-def equation_3(situation: Situation) -> Iterator[Item]:
+def equation_3(situation: Situation) -> Items:
     """I(v) = g rho_v M(n_v) + b, on the picture's own layers; highlights are beside (3)."""
     off: list[float] = []
     settings = {"lightmap": {**NO_SHADOW["lightmap"], "plane_blocks": False}}
-    for formula in (PAPER, CORRECTED):
+    for formula in METHODS:
         shot = situation.shot(formula, settings)
         on = shot.layer(Layer.COVERAGE) > 0.999
         n, rho, virtual = (
@@ -130,11 +132,11 @@ def equation_3(situation: Situation) -> Iterator[Item]:
     )
 
 
-def figure_1(situation: Situation) -> Iterator[Item]:
+def figure_1(situation: Situation) -> Items:
     item, level = "figure 1, triangles of the hemisphere", PrintedLightParams().map_level
     middles = hemisphere(level)  # the map's axes
     yield row(item, "a hemisphere of triangles", len(middles), "", "", True)
-    printed, corrected = (situation.shot(formula) for formula in (PAPER, CORRECTED))
+    printed, corrected = map(situation.shot, METHODS)
     lamp = situation.lamp_in_world(printed)
     true = Light(AMBIENT, (DirectionalLight(triple(lamp), situation.lamp.rgb),))
     light = {
@@ -207,7 +209,7 @@ def drawn_hemisphere(level: int, M: np.ndarray, lights: list[np.ndarray]) -> np.
 
 def pictures(
     situation: Situation, settings: Settings, items: dict[str, tuple[str, str]]
-) -> Iterator[Item]:
+) -> Items:
     """The last frame by both methods, beside the corrected one at its best, told the true lamp:
     mean difference where any of them changes the plate. items : what is printed, and title"""
     lamp, scaled = situation.lamp, situation.work.scaled
@@ -219,9 +221,9 @@ def pictures(
         "pipeline": {"quality": scaled("reference", "standard")},
     }
     made = {
-        PRINTED: situation.shot(PAPER, settings).picture(),
-        CORRECTED: situation.shot(CORRECTED, settings).picture(),
-        REFERENCE: situation.shot(CORRECTED, {**settings, **best}).picture(),
+        PRINTED: situation.shot(AS_PRINTED, settings).picture(),
+        CORRECTED: situation.shot(settings).picture(),
+        REFERENCE: situation.shot(settings, best).picture(),
     }
     before = situation.clip.frames()[situation.last]
     on = np.max([level_difference(own, before) for own in made.values()], 0) > 2
@@ -235,7 +237,7 @@ def pictures(
         yield Figure(item, title, {BEFORE: before, **made})
 
 
-def table_1(work: Work) -> Iterator[Item]:
+def table_1(work: Work) -> Items:
     size_px, frames = work.scaled(((640, 480), 20), ((128, 96), 4))
     clip = work.clip(turned_card(SITUATIONS[0], size_px, frames, samples=1))
     rates: dict[str, list[Any]] = {"printed": [], "printed method": [], "corrected": []}
@@ -243,10 +245,8 @@ def table_1(work: Work) -> Iterator[Item]:
     for name, (faces, (low, high), size_mb) in TABLE_1.items():
         count = load_model(work.model(name)).face_count
         yield row(f"table 1, {name}, faces", str(faces), (count, count))
-        printed, corrected = (
-            work.timed(clip, formula, model_file(work, name))
-            for formula in (PAPER, CORRECTED)
-        )
+        model = model_file(work, name)
+        printed, corrected = (work.timed(clip, merge(model, own)) for own in METHODS)
         fps = printed.frames_per_s, corrected.frames_per_s
         mb = printed.peak_mb, corrected.peak_mb
         yield row(

@@ -4,7 +4,7 @@ readings made here.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -29,7 +29,7 @@ from arfx.papers.s1_light import (
     squared_weight,
 )
 from arfx.papers.s1_lightmap import phong
-from arfx.reproduce.rows import Item, curves, row
+from arfx.reproduce.rows import Items, curves, row
 from arfx.reproduce.work import Work
 from arfx.stages.composite import shade
 
@@ -50,7 +50,7 @@ PEAKS = (
 NO_VALUE = "the paper names it and states no value"
 
 
-def rows(work: Work) -> Iterator[Item]:
+def rows(work: Work) -> Items:
     yield from equation_1()
     yield from equation_2(work.scaled(60, 10))
     yield from equation_4()
@@ -61,7 +61,7 @@ def rows(work: Work) -> Iterator[Item]:
     yield from section_2_3()
 
 
-def section_2_3() -> Iterator[Item]:
+def section_2_3() -> Items:
     """Phong's model, and shadows."""
     v, d = normalise(np.array([[-0.6, 0, 0.8]])), np.array([0.6, 0, 0.8])
     highlight = phong(UP[None], v, d, np.array([0.3]))[0]
@@ -88,7 +88,7 @@ def section_2_3() -> Iterator[Item]:
     )
 
 
-def equation_1() -> Iterator[Item]:
+def equation_1() -> Items:
     """Light of a surface."""
     d = normalise(np.array([[0.5, 0.2, 0.8], [-0.6, 0.1, 0.7]]))
     omega = np.array([[0.6, 0.5, 0.4], [0.2, 0.3, 0.4]])
@@ -125,7 +125,7 @@ def bias_of(found: Photometry) -> float:
     return 255 * float(found.bias[0])
 
 
-def equation_2(seeds: int) -> Iterator[Item]:
+def equation_2(seeds: int) -> Items:
     """Albedos out of a picture."""
     why = (
         "brightness is affine in the albedo, not linear: what is found depends on the light"
@@ -157,7 +157,7 @@ def equation_2(seeds: int) -> Iterator[Item]:
     )
 
 
-def equation_4() -> Iterator[Item]:
+def equation_4() -> Items:
     """Gain and bias as reciprocals."""
     for frames in (10, 40):
         grey = three(clip(0, frames)[0])
@@ -185,7 +185,7 @@ def equation_4() -> Iterator[Item]:
     )
 
 
-def equations_5_6(seeds: int) -> Iterator[Item]:
+def equations_5_6(seeds: int) -> Items:
     """The homogeneous system: solutions beside one another, and under noise."""
     grey, _ = clip(0)
     flat = np.tile(RHO * 120 + BIAS, (25, 1)) / 255
@@ -238,7 +238,7 @@ def equations_5_6(seeds: int) -> Iterator[Item]:
         )
 
 
-def equation_7() -> Iterator[Item]:
+def equation_7() -> Items:
     """The update of the map."""
 
     def seen(values: np.ndarray) -> np.ndarray:
@@ -281,7 +281,7 @@ def equation_7() -> Iterator[Item]:
     )
 
 
-def equation_8() -> Iterator[Item]:
+def equation_8() -> Items:
     """The weight of a normal."""
     yield row("equation (8), s", "a blur constant", (S_RAD, S_RAD), "rad", NO_VALUE)
     for angle_deg in (0, 1, 5, 10, 20, 30):
@@ -330,7 +330,7 @@ def cap(count: int, seed: int = 0) -> np.ndarray:
     return direction_of(2 * np.pi * rng.random(count), np.arcsin(z))
 
 
-def equation_9(seeds: int) -> Iterator[Item]:
+def equation_9(seeds: int) -> Items:
     """Lights at the peaks of the map."""
     params = PrintedLightParams(albedos="known")
     share = f"{params.peak:g} of the largest"

@@ -5,7 +5,6 @@ in the order of print.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -30,7 +29,7 @@ from arfx.papers.s2_lens import (
     printed_limits,
 )
 from arfx.reproduce import s2_figures, s2_rates
-from arfx.reproduce.rows import COLOURS, Item, Row, curves, row
+from arfx.reproduce.rows import COLOURS, Items, Row, curves, row
 from arfx.reproduce.work import Work
 from arfx.stages.dof.aperture import disc
 from arfx.stages.dof.optics import CircleOfConfusion
@@ -43,7 +42,7 @@ DISC_ROWS = disc(3.0).sum(1)
 L_LESS_F = "(4) and (5) have L where (3) implies L - F"
 
 
-def rows(work: Work) -> Iterator[Item]:
+def rows(work: Work) -> Items:
     yield from _circle()
     yield from _limits()
     yield from _example()
@@ -55,7 +54,7 @@ def rows(work: Work) -> Iterator[Item]:
     yield from s2_rates.rows(work)
 
 
-def _circle() -> Iterator[Item]:
+def _circle() -> Items:
     """(1) to (3), (7)."""
     true, infinite = float(circle_of_confusion_mm(OTHER, LENS)), LENS.coc_at_infinity_mm
     picture = eq2_picture(F, L)
@@ -84,7 +83,7 @@ def _sharp_mm(lens: Lens) -> np.ndarray:
     return np.array([(limits.front_mm, limits.back_mm) for limits in both], float).T
 
 
-def _limits() -> Iterator[Item]:
+def _limits() -> Items:
     """(4) to (6): the circle where they lie, and where they have no value."""
     for far, of, why in (
         (L, "", L_LESS_F),
@@ -138,7 +137,7 @@ def _limits() -> Iterator[Item]:
     )
 
 
-def _example() -> Iterator[Item]:
+def _example() -> Items:
     """Section 3.1."""
     fronts, backs = _sharp_mm(LENS)
     of = "section 3.1, "
@@ -199,7 +198,7 @@ def _example() -> Iterator[Item]:
     yield plot
 
 
-def _blur_factor() -> Iterator[Item]:
+def _blur_factor() -> Items:
     """Section 3.2, and what of it is wrong."""
     far = np.linspace(0.0, 1e3 / L, 50)
     rises = [
@@ -247,7 +246,7 @@ def _blur_factor() -> Iterator[Item]:
     )
 
 
-def _luminance() -> Iterator[Item]:
+def _luminance() -> Items:
     """(8), with figure 7."""
     around = np.array([[100, 120, 90], [180, 100, 100], [60, 100, 140]], np.float32)
     flat = np.ones((3, 3), np.float32)
@@ -288,7 +287,7 @@ def _luminance() -> Iterator[Item]:
     )
 
 
-def _blocks() -> Iterator[Item]:
+def _blocks() -> Items:
     """Figure 8: numbers of a CUDA block, and whether the printed filters fit into it."""
     (rows_px, columns_px), (tall, wide), size = (8, 16), (16, 24), 4
     threads, with_border = rows_px * columns_px, tall * wide
@@ -323,7 +322,7 @@ def _blocks() -> Iterator[Item]:
     )
 
 
-def _blend() -> Iterator[Item]:
+def _blend() -> Items:
     """(9), the factor 2/3 and its border."""
     over, under = np.full((1, 1, 3), 80.0), np.full((1, 1, 3), 40.0)
     value = eq9_blend(np.array([[0.25]]), over, under)[0, 0, 0]

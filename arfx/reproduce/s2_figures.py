@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 import cv2
 import numpy as np
@@ -17,7 +17,7 @@ from arfx.reproduce.rows import (
     PRINTED,
     REFERENCE,
     Figure,
-    Item,
+    Items,
     eight_bit,
     row,
 )
@@ -37,7 +37,7 @@ BALLS_M = {"real": ((-0.13, 0.08, 0.04), 0.04), "virtual": ((0.0, 0.0, BALL_M), 
 Pictures = Mapping[str, np.ndarray]  # of the desk: BEFORE, GAUSSIAN, and the usual ones
 
 
-def rows(work: Work) -> Iterator[Item]:
+def rows(work: Work) -> Items:
     scene = desk(work)
     ball, room_model = models(work).values()
     shot = desk_shot(work, work.clip(scene), ball)
@@ -78,7 +78,7 @@ def rows(work: Work) -> Iterator[Item]:
     )
 
 
-def _diagrams() -> Iterator[Item]:
+def _diagrams() -> Items:
     order = ", ".join(name for name in STAGES if name in ("raster", "composite", "dof"))
     yield row(
         "figure 1",
@@ -98,7 +98,7 @@ def _diagrams() -> Iterator[Item]:
     )
 
 
-def _coordinates(shot: Shot, picture: np.ndarray, camera_m: np.ndarray) -> Iterator[Item]:
+def _coordinates(shot: Shot, picture: np.ndarray, camera_m: np.ndarray) -> Items:
     """The axes of the world, drawn into the picture. camera_m : where the camera stands"""
     pose, drawn = shot.facts.pose, picture.copy()
     ends = pose.apply(0.08 * np.vstack([np.zeros(3), np.eye(3)]))
@@ -122,7 +122,7 @@ def _coordinates(shot: Shot, picture: np.ndarray, camera_m: np.ndarray) -> Itera
     )
 
 
-def _steps(shot: Shot, made: Pictures) -> Iterator[Item]:
+def _steps(shot: Shot, made: Pictures) -> Items:
     """Figures 6 and 9 to 11: what the printed method keeps and makes on its way."""
     stage = shot.stages["dof"]
     assert isinstance(stage, PrintedDof)
@@ -192,7 +192,7 @@ def _without_gaussian(pictures: Pictures) -> Pictures:
     return {name: picture for name, picture in pictures.items() if name != GAUSSIAN}
 
 
-def _points(shot: Shot, made: Pictures, points_m: np.ndarray) -> Iterator[Item]:
+def _points(shot: Shot, made: Pictures, points_m: np.ndarray) -> Items:
     """Figures 12 and 13: the Gaussian filter and the printed method, beside one another."""
     at = shot.job.scene.camera.project(shot.facts.pose.apply(points_m))
     area = {name: _spread(picture, at) for name, picture in made.items()}
@@ -233,7 +233,7 @@ def _points(shot: Shot, made: Pictures, points_m: np.ndarray) -> Iterator[Item]:
     yield Figure("figure 13", "the bright points, twice as large", near)
 
 
-def _in_focus(shot: Shot, before: np.ndarray) -> Iterator[Item]:
+def _in_focus(shot: Shot, before: np.ndarray) -> Items:
     closed = {
         PRINTED: under(shot, PAPER, aperture_px=0.4).picture(),
         CORRECTED: under(shot, CORRECTED, aperture_px=0.4).picture(),
@@ -250,7 +250,7 @@ def _in_focus(shot: Shot, before: np.ndarray) -> Iterator[Item]:
     yield Figure("figure 14", "a real and a virtual (blue) ball, all in focus", closed)
 
 
-def _out_of_focus(shot: Shot, made: Pictures) -> Iterator[Item]:
+def _out_of_focus(shot: Shot, made: Pictures) -> Items:
     camera, words = shot.job.scene.camera, {}
     for name, picture in made.items():
         kept = []

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterator
 
 from arfx.core.machine import usable_cores
 from arfx.papers import CORRECTED, PAPER
-from arfx.reproduce.rows import Bars, Item, Row, row
+from arfx.reproduce.rows import Bars, Items, Row, row
 from arfx.reproduce.s2_scene import models, moving_desk, moving_settings
 from arfx.reproduce.work import Timed, Work, median_s
 
@@ -18,12 +17,12 @@ HERE = (
 )
 
 
-def rows(work: Work) -> Iterator[Item]:
+def rows(work: Work) -> Items:
     clip = work.clip(moving_desk(work))
     size = f"{clip.scene.clip.width}{{}}{clip.scene.clip.height}"
     own, room = (
         [
-            work.timed(clip, settings=moving_settings(model, formula))
+            work.timed(clip, moving_settings(model, formula))
             for formula in (PAPER, CORRECTED)
         ]
         for model in models(work).values()
@@ -94,7 +93,7 @@ def _rate(item: str, printed: float, here: list[float], why: str) -> Row:
     return row(item, printed, here, "fps", why, min(here) >= printed)
 
 
-def _machine(timed: list[Timed], size: str) -> Iterator[Item]:
+def _machine(timed: list[Timed], size: str) -> Items:
     here = f"{platform.machine()}, {usable_cores()} cores"
     yield row(
         "section 4, machine",

@@ -138,7 +138,7 @@ def desk_shot(work: Work, clip: Clip, model: Mapping[str, Any]) -> Shot:
     width, fov = clip.scene.clip.width, np.radians(clip.scene.lens.fov_deg)
     infinite_px = float(APERTURE_M * width / 2 / np.tan(fov / 2) / FOCUS_M)
     dof = {**PRINTED, "focus": f"{FOCUS_M}m", "aperture_px": infinite_px}
-    return work.shot(clip, settings={"model": model, "dof": dof})
+    return work.shot(clip, {"model": model, "dof": dof})
 
 
 def under(shot: Shot, formula: str, **dof: Any) -> Shot:

@@ -5,7 +5,6 @@ of colour, a resting and a panning camera) is made in `s3_measure`."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
@@ -14,7 +13,16 @@ from arfx.core.layers import Layer
 from arfx.papers import s3_watercolor as paper
 from arfx.reproduce import s3_measure as measure
 from arfx.reproduce import s3_scene as scene
-from arfx.reproduce.rows import BEFORE, CORRECTED, PRINTED, Figure, Item, Row, curves, row
+from arfx.reproduce.rows import (
+    BEFORE,
+    CORRECTED,
+    PRINTED,
+    Figure,
+    Items,
+    Row,
+    curves,
+    row,
+)
 from arfx.reproduce.s3_scene import FLAT, OBJECTS, Shown, corrected, printed
 from arfx.reproduce.work import Work, median_s
 from arfx.stages.watercolor.cells import mean_colours
@@ -35,7 +43,7 @@ STEP_VALUES = {
 }
 
 
-def rows(work: Work) -> Iterator[Item]:
+def rows(work: Work) -> Items:
     frame = scene.shown(work)
     yield from frame_rows(frame)
     yield from cell_rows(frame)
@@ -46,7 +54,7 @@ def rows(work: Work) -> Iterator[Item]:
     yield from time_rows(frame, work)
 
 
-def frame_rows(frame: Shown) -> Iterator[Item]:
+def frame_rows(frame: Shown) -> Items:
     seen = [name for name, where in frame.objects().items() if where.any()]
     item, words = "figure 3, AR frame", f"{', '.join(seen)}, from one model file"
     yield row(
@@ -62,7 +70,7 @@ def frame_rows(frame: Shown) -> Iterator[Item]:
     )
 
 
-def cell_rows(frame: Shown) -> Iterator[Item]:
+def cell_rows(frame: Shown) -> Items:
     """3.1.1, and 3.1.2 with cones of one size."""
     rect, (m, n) = frame.layers.rect, scene.cells_of(frame)
     w, h = rect.width / n, rect.height / m
@@ -155,7 +163,7 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
     )
 
 
-def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
+def depth_rows(frame: Shown, work: Work) -> Items:
     """3.1.2: the depth buffer decides the cones' size."""
     depth, by_cones, by_density = measure.areas_on_plane(8, work.scaled(10, 2))
     area, covered, equal = measure.small_thing(work.scaled(40, 10))
@@ -200,7 +208,7 @@ def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
     )
 
 
-def toon_rows(frame: Shown) -> Iterator[Item]:
+def toon_rows(frame: Shown) -> Items:
     """3.2: the listing."""
     p, c, cosine = printed(frame).params, corrected().params, np.linspace(-1, 1, 20001)
     normal = np.stack([np.sqrt(1 - cosine**2), 0 * cosine, cosine], -1).astype(np.float32)
@@ -250,7 +258,7 @@ def toon_rows(frame: Shown) -> Iterator[Item]:
     yield row(item, "edges that stand out more", words, "", why, min(shares) > smooth)
 
 
-def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
+def edge_rows(frame: Shown, work: Work) -> Items:
     """3.2: (2) to (4)."""
     for k, (equation, beta) in enumerate(
         (("equation (2)", 1.0), ("equation (3)", 0.0), ("equation (4), left side", 0.5))
@@ -306,7 +314,7 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
     yield Figure(item, "of the toon-shaded frame", drawn)
 
 
-def picture_rows(frame: Shown) -> Iterator[Item]:
+def picture_rows(frame: Shown) -> Items:
     """3.3."""
     stage, rect, (m, n) = printed(frame), frame.layers.rect, scene.cells_of(frame)
     view = frame.view(stage)
@@ -343,7 +351,7 @@ def picture_rows(frame: Shown) -> Iterator[Item]:
     )
 
 
-def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
+def time_rows(frame: Shown, work: Work) -> Items:
     """What sections 2 and 4 say of time."""
     frames = work.scaled(5, 3)
     # the paper's grain rests on the screen

@@ -154,7 +154,7 @@ def shown(work: Work) -> Shown:
     width, height = work.scaled((640, 360), (240, 136))
     clip = work.clip(SCENE.format(width=width, height=height))
     model = {"file": work.model("group"), "fit": "26cm"}
-    shot = work.shot(clip, settings={"model": model})
+    shot = work.shot(clip, {"model": model})
     layers = shot.renderer.after(shot.up_to("watercolor")[:-1]).view(shot.renderer.window)
     return Shown(layers, shot.facts, shot.job.scene, shot.renderer.original())
 

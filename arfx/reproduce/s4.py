@@ -6,8 +6,6 @@ is what each of its statements claims."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from arfx.analyse.depth.planes import cloud_of, find_planes, scene_planes
@@ -18,7 +16,7 @@ from arfx.core.cube import CubeMap, look_up
 from arfx.core.numerics import angle_between, direction_of
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.papers.s4_environment import FACE_PX, mip_level, step3_environment, step3_mipmap
-from arfx.reproduce.rows import BEFORE, CORRECTED, PRINTED, Figure, Item, Row, row
+from arfx.reproduce.rows import BEFORE, CORRECTED, PRINTED, Figure, Items, row
 from arfx.reproduce.s4_cones import cones
 from arfx.reproduce.s4_pictures import on_the_plane, pictures
 from arfx.reproduce.s4_scenes import LAMP, methods, room
@@ -30,7 +28,7 @@ SIDE = 16  # texels of an environment's face
 FOLDED = {PRINTED: step3_environment, CORRECTED: cube_from_picture}
 
 
-def rows(work: Work) -> Iterator[Item]:
+def rows(work: Work) -> Items:
     yield from plane()
     yield from volumes(work)
     yield from on_the_plane(work)
@@ -40,7 +38,7 @@ def rows(work: Work) -> Iterator[Item]:
     yield from pictures(work)
 
 
-def plane() -> Iterator[Row]:
+def plane() -> Items:
     """Step 1, on a table of 1.2 m x 0.8 m with a box on it, measured with 3 mm of noise."""
     camera = Camera(160, 120, np.array([[150.0, 0, 79.5], [0, 150, 59.5], [0, 0, 1]]))
     turn = rotation_from_euler_deg(180, 0, 0) @ rotation_from_euler_deg(-35, 0, 0)
@@ -105,7 +103,7 @@ def plane() -> Iterator[Row]:
 def panoramas(work: Work) -> Figure:
     """The environments of one picture, all around: its middle column is straight ahead."""
     settings = methods(work, "cube", "8cm", LAMP)[CORRECTED]
-    frame = work.shot(room(work), settings=settings).renderer
+    frame = work.shot(room(work), settings).renderer
     degrees = np.meshgrid(np.linspace(-180, 180, 240), np.linspace(-90, 90, 120))
     z, x, y = np.moveaxis(direction_of(*np.radians(degrees)), -1, 0)
     around = np.stack([x, y, z], -1).reshape(-1, 3)
@@ -120,7 +118,7 @@ def panoramas(work: Work) -> Figure:
     )
 
 
-def environment() -> Iterator[Row]:
+def environment() -> Items:
     """Step 3: each third of a picture of nine colours on its face, no change of a constant
     one, seams, levels.
     """

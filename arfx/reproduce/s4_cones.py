@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
@@ -13,7 +12,7 @@ from arfx.core.stage import JobView, Stage
 from arfx.papers.s4_cones import WIDE_DEG, six_cones
 from arfx.papers.s4_environment import step3_mipmap
 from arfx.papers.s4_gi import PrintedGi, PrintedGiParams, Surfels, wide_cones
-from arfx.reproduce.rows import Row, row
+from arfx.reproduce.rows import Items, Row, row
 from arfx.reproduce.s4_scenes import flat_with
 from arfx.reproduce.s4_volumes import N, ray, small
 from arfx.reproduce.work import Work
@@ -23,7 +22,7 @@ from arfx.stages.gi.gloss import mirror_tangent
 from arfx.stages.gi.health import furnace_mean
 
 
-def cones(work: Work) -> Iterator[Row]:
+def cones(work: Work) -> Items:
     directions, weights, _ = six_cones()
     narrow, wide = float(np.degrees(np.arctan(mirror_tangent(0.1)))), WIDE_DEG
     yield row(
@@ -88,7 +87,7 @@ def through() -> Row:
     )
 
 
-def step_length() -> Iterator[Row]:
+def step_length() -> Items:
     """Through a block of opacity and radiance one half."""
     block = np.argwhere(np.ones((N, N, N)))
     one, two, four = (
@@ -125,7 +124,7 @@ def step_length() -> Iterator[Row]:
     )
 
 
-def furnace(work: Work) -> Iterator[Row]:
+def furnace(work: Work) -> Items:
     """A white ball on a white plane in an even light of 1 has to vanish.
 
     The short form has the smallest volume alone.

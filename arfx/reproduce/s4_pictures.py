@@ -6,7 +6,6 @@ short form cones take its place), and for a mirror ball through the whole synthe
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import cv2
@@ -22,8 +21,7 @@ from arfx.reproduce.rows import (
     REFERENCE,
     Bars,
     Figure,
-    Item,
-    Row,
+    Items,
     row,
 )
 from arfx.reproduce.s4_mirror import mirrored_room
@@ -31,7 +29,7 @@ from arfx.reproduce.s4_scenes import LAMP, flat_scene, methods, room
 from arfx.reproduce.work import Shot, Work
 
 
-def pictures(work: Work) -> Iterator[Item]:
+def pictures(work: Work) -> Items:
     red = work.scaled("red-teapot", "red-cube")
     mirror = work.scaled("mirror", "cube")
     matte = {"plane_gloss": 0.0}
@@ -69,14 +67,14 @@ def pictures(work: Work) -> Iterator[Item]:
     yield from rates(work)
 
 
-def on_the_plane(work: Work) -> Iterator[Row]:
+def on_the_plane(work: Work) -> Items:
     """What indirect light alone changes of a grey plane beside a cube: linear light, mean
     of the pixels around the cube.
     """
     red, black = [], []
     for model, changes in (("black-cube", black), ("red-cube", red)):
         for settings in methods(work, model, "8cm", plane_gloss=0.0).values():
-            shot = work.shot(flat_scene(work), 1, settings=settings)
+            shot = work.shot(flat_scene(work), settings, 1)
             changed = shot.layer(Layer.IMAGE) - without_planes(shot).layer(Layer.IMAGE)
             changes.append(changed[ring(shot.layer(Layer.COVERAGE))].mean(0))
     printed, corrected = (float(change @ [1, -1, 0]) for change in red)
@@ -117,12 +115,12 @@ def ring(coverage: np.ndarray) -> np.ndarray:
 
 def beside_reference(
     work: Work, item: str, title: str, settings: dict[str, Any], mirror: bool, reason: str
-) -> Iterator[Item]:
+) -> Items:
     """One frame by both methods and by traced rays; the mean error where the effect touches
     the picture.
     """
     clip = room(work)
-    shots = {name: work.shot(clip, 1, settings=given) for name, given in settings.items()}
+    shots = {name: work.shot(clip, given, 1) for name, given in settings.items()}
     made = {name: shot.picture() for name, shot in shots.items()}
     best = shots[CORRECTED]
     levels = {
@@ -149,11 +147,11 @@ def beside_reference(
     yield Figure(item, title, {BEFORE: before, **made})
 
 
-def rates(work: Work) -> Iterator[Item]:
+def rates(work: Work) -> Items:
     """Whole jobs with a teapot."""
     settings = methods(work, work.scaled("red-teapot", "red-cube"), "13cm", LAMP)
     clip = room(work)
-    timed = {name: work.timed(clip, settings=given) for name, given in settings.items()}
+    timed = {name: work.timed(clip, given) for name, given in settings.items()}
     size = f"{clip.scene.clip.width} x {clip.scene.clip.height}"
     printed, corrected = timed.values()
     why = (

@@ -111,4 +111,4 @@ def methods(
 def flat_with(work: Work, model: str, fit: str) -> Scene:
     """The flat scene with a model."""
     settings = methods(work, model, fit)[CORRECTED]
-    return work.planned(flat_scene(work), settings=settings).scene
+    return work.planned(flat_scene(work), settings).scene

@@ -4,7 +4,7 @@ and its filter.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from arfx.papers.s4_plane import step1_mesh
 from arfx.papers.s4_shadow_maps import shadow_maps, step2_radiance
 from arfx.papers.s4_volumes import Volumes, octree_of, step2_volumes
 from arfx.papers.s4_voxels import Volume
-from arfx.reproduce.rows import Bars, Item, Row, row
+from arfx.reproduce.rows import Bars, Items, Row, row
 from arfx.reproduce.s4_scenes import flat_scene, flat_with, methods
 from arfx.reproduce.work import Work, shot_of
 from arfx.stages.gi.reference_scene import RayScene
@@ -26,14 +26,14 @@ CHANNELS = 4 + 3 * 3  # of V_eta, V_rho, V_mu and V_delta
 N = 16  # voxels a side of a small volume
 
 
-def volumes(work: Work) -> Iterator[Item]:
+def volumes(work: Work) -> Items:
     yield from light(work)
     yield from filtering()
     yield from memory(work)
     yield empty(work)
 
 
-def light(work: Work) -> Iterator[Row]:
+def light(work: Work) -> Items:
     """A red cube on a grey plane under one light."""
     scene = flat_with(work, "red-cube", "8cm")
     mesh = step1_mesh(scene, ALBEDO)
@@ -132,7 +132,7 @@ def ray(
     return made
 
 
-def filtering() -> Iterator[Row]:
+def filtering() -> Items:
     passes = len(small(np.zeros((1, 3), int)).starts)
     yield row(
         "step 2, filter steps of an octree of 5 levels",
@@ -169,7 +169,7 @@ def filtering() -> Iterator[Row]:
     )
 
 
-def memory(work: Work) -> Iterator[Item]:
+def memory(work: Work) -> Items:
     """Of all volumes of a teapot and the plane under it, beside arrays."""
     scene = flat_with(work, "red-teapot", "12cm")
     mesh, made = step1_mesh(scene, ALBEDO), {}
@@ -201,7 +201,7 @@ def empty(work: Work) -> Row:
     changed = []
     for settings in methods(work, "red-cube", "8cm").values():
         settings["model"]["offset"] = ["0m", "0m", "3m"]
-        job = work.planned(flat_scene(work), settings=settings)
+        job = work.planned(flat_scene(work), settings)
         most = 0.0
         if job.plan.frames[1].steps:
             shot = shot_of(job, 1)

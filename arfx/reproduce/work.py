@@ -1,5 +1,5 @@
-"""Scenes, jobs and times for the papers' modules: synthetic clips, whole jobs under either
-formula, single frames of them.
+"""Scenes, jobs and times for the papers' modules: synthetic clips, whole jobs under any settings,
+single frames of them.
 
 Everything lies in a temporary folder. What two items need is made once."""
 
@@ -27,7 +27,7 @@ from arfx.measure.steps import Chain, FrameRenderer, open_frames
 from arfx.measure.timing import WALL
 from arfx.media.clip import probe
 from arfx.media.frames import ClipReader
-from arfx.papers import CORRECTED, PAPER
+from arfx.papers import FORMULAS, PAPER
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import open_inputs
 from arfx.run.job import Options, plan_job, process
@@ -39,6 +39,8 @@ from arfx.synth.description import SceneFile, parse_scene
 
 Settings = Mapping[str, Mapping[str, Any]]  # of a job file: section, key, value
 DEFAULTS: Settings = {}
+# by the printed methods
+AS_PRINTED: Settings = {name: {"formula": PAPER} for name in FORMULAS[PAPER]}
 # GLB, y up, about one unit wide: teapot, apple and aeroplane of table 1 of Tan, Chen, Sun 2009;
 # teapot, cube and rabbit of figure 5 of Jia, Tang 2013; what shows indirect light, and blur
 MODELS = Path(__file__).with_name("models")
@@ -149,47 +151,35 @@ class Work:
         """
         return str(MODELS / f"{name}.glb")
 
-    def planned(
-        self, clip: Clip, formula: str = CORRECTED, settings: Settings = DEFAULTS
-    ) -> Job:
+    def planned(self, clip: Clip, settings: Settings = DEFAULTS) -> Job:
         """The job analysed and planned, nothing rendered."""
-        key = f"plan-{_digest(str(clip.folder), formula, settings)}"
+        key = f"plan-{_digest(str(clip.folder), settings)}"
         if key not in self._planned:
             folder = JobFolder(self.folder / key)
             folder.open(resume=False)
-            config = _config(clip.folder, formula, settings, self.folder / "out.mkv")
+            config = _config(clip.folder, settings, self.folder / "out.mkv")
             options = Options(overwrite=True, progress=self.progress, notice=self.notice)
             self._planned[key] = plan_job(open_inputs(config), folder, options)
         return self._planned[key]
 
-    def shot(
-        self,
-        clip: Clip,
-        index: int = 0,
-        formula: str = CORRECTED,
-        settings: Settings = DEFAULTS,
-    ) -> Shot:
+    def shot(self, clip: Clip, settings: Settings = DEFAULTS, index: int = 0) -> Shot:
         """One frame of the clip under these settings.
 
         Raises RenderError where nothing would be rendered in it.
         """
-        return shot_of(self.planned(clip, formula, settings), index)
+        return shot_of(self.planned(clip, settings), index)
 
-    def timed(
-        self, clip: Clip, formula: str = CORRECTED, settings: Settings = DEFAULTS
-    ) -> Timed:
+    def timed(self, clip: Clip, settings: Settings) -> Timed:
         """The whole job in a process of its own, so that its memory is its own.
 
         In the short form one frame's stages in this.
         """
         if self.short:
-            shot = self.shot(clip, 0, formula, settings)
+            shot = self.shot(clip, settings)
             seconds = {stage: shot.seconds(stage, 1) for stage in shot.stages}
             held_mb = _held_mb()
             return Timed(1 / sum(seconds.values()), seconds, held_mb, held_mb)
-        timed: Timed = self.apart(
-            timed_job, clip.folder, clip.scene.clip.fps, formula, settings
-        )
+        timed: Timed = self.apart(timed_job, clip.folder, clip.scene.clip.fps, settings)
         return timed
 
     def apart(self, function: Callable[..., Any], *arguments: Any) -> Any:
@@ -236,15 +226,13 @@ def median_s(work: Callable[[], Any], repeats: int = 5) -> float:
     return float(np.median([WALL.of(work) for _ in range(repeats)]))
 
 
-def timed_job(folder: Path, fps: float, formula: str, settings: Settings) -> Timed:
+def timed_job(folder: Path, fps: float, settings: Settings) -> Timed:
     """Runs the job of a clip's folder in the process that it is called in. The clip's first
     frames are processed once before, so that nothing is imported, compiled or loaded while
     time is taken. fps : of the clip"""
     start_mb, report = _held_mb(), dict[str, Any]()
     for more in ({"input": {"end": f"{(WARM_FRAMES - 0.5) / fps}s"}}, {}):
-        config = _config(
-            folder, formula, merge(settings, more), folder.parent / f"timed-{formula}.mkv"
-        )
+        config = _config(folder, merge(settings, more), folder.parent / "timed.mkv")
         report = process(
             config, Options(overwrite=True, workers=1, notice=lambda message: None)
         )
@@ -263,16 +251,9 @@ def _held_mb() -> float:
     return psutil.Process().memory_info().rss / 2**20
 
 
-def _config(folder: Path, formula: str, settings: Settings, output: Path) -> JobConfig:
-    kinds = parameters()
-    tree: dict[str, Any] = {
-        name: {"formula": formula}
-        for name, formulas in kinds.items()
-        if PAPER in formulas
-    }
-    for part in (settings, {"output": {"path": str(output), "codec": "ffv1"}}):
-        tree = merge(tree, part)
-    return load(folder / "job.toml", tree, kinds)
+def _config(folder: Path, settings: Settings, output: Path) -> JobConfig:
+    lossless = {"output": {"path": str(output), "codec": "ffv1"}}
+    return load(folder / "job.toml", merge(settings, lossless), parameters())
 
 
 def _digest(*parts: Any) -> str:
