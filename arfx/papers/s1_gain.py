@@ -76,7 +76,8 @@ def eq6_smallest_vector(
     if not seen.any():
         raise ValueError("no finite intensity")
     grey, r, m = (np.where(valid, a, 0)[seen] for a in (value, rho, 1.0))
-    frames, null = len(grey), NULL
+    frames = len(grey)
+    null = NULL
     if frames <= dense:
         x = r[:, :, None] * np.eye(frames)[:, None]
         rows = np.concatenate([np.stack([-grey, m], -1), x], -1).reshape(grey.size, -1)

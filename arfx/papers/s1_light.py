@@ -108,7 +108,9 @@ class Observation(NamedTuple):
     @property
     def usable(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """(unit normal, irradiance) of the readings that are finite and known."""
-        n, x, v = normalise(self.normals), self.irradiance, self.variance
+        n = normalise(self.normals)
+        x = self.irradiance
+        v = self.variance
         fine = n.any(1) & (np.isfinite(x) & (v >= 0) & (v < UNKNOWN_VARIANCE)).all(1)
         return zip(n[fine], x[fine], strict=True)
 
@@ -195,7 +197,8 @@ def eq9_lights(
     I_n = M.mean(-1) if M.ndim == 2 else M
     equal = np.round(divide(I_n, np.abs(I_n).max(initial=0)), _EQUAL)
     order = np.lexsort((-n[:, 2], -equal))
-    rank, free = np.argsort(order), (I_n >= I_c) & (I_n > 0)
+    rank = np.argsort(order)
+    free = (I_n >= I_c) & (I_n > 0)
     lights = []
     for i in order:
         if free[i]:
@@ -216,7 +219,9 @@ def lights_of(
     The hemisphere's axis is the mean of all normals."""
     turn = upright(normalise(np.concatenate([o.normals for o in seen]).sum(0)))
     map_ = LightMap(params.map_level, params.map_blur_rad)
-    out, cubes, beyond = [], [], np.zeros(3)
+    out = []
+    cubes = []
+    beyond = np.zeros(3)
     for o in seen:
         readings = [(turn @ n, x) for n, x in o.usable]
         for n, x in readings:
@@ -224,7 +229,8 @@ def lights_of(
         M = map_.of_middles
         I_c = params.least_light or params.peak * M.mean(1).max()
         peaks = eq9_lights(M, map_.middles, I_c, params.peak_apart_deg)
-        towards, rgb = map_.middles[peaks], np.clip(M[peaks], 0, None)
+        towards = map_.middles[peaks]
+        rgb = np.clip(M[peaks], 0, None)
         if readings:
             left = [x - np.clip(towards @ n, 0, None) @ rgb for n, x in readings]
             beyond = np.clip(np.mean(left, 0), 0, None)

@@ -30,7 +30,8 @@ from arfx.stages.lightmap import Lightmap
 from arfx.stages.lightmap.shading import Surface
 from arfx.stages.lightmap.stage import LightmapParams
 
-LEAST_ROUGHNESS, SHARPEST = 0.05, 500.0
+LEAST_ROUGHNESS = 0.05
+SHARPEST = 500.0
 
 
 class PrintedLightmapParams(LightmapParams):
@@ -93,7 +94,8 @@ class PrintedLightmap(Lightmap):
         even = np.broadcast_to(light.ambient, n.shape)
         if len(light.soft):
             even = np.clip(harmonics(n) @ light.soft, 0, None)
-        received, highlight = even * self.soft, np.zeros(n.shape)
+        received = even * self.soft
+        highlight = np.zeros(n.shape)
         for k, visible in zip(reaching, visibility, strict=True):
             d = light.towards[k]
             arrives = light.rgb[k] * light.on_object[k] * visible[covered][:, None]

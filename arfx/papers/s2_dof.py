@@ -211,7 +211,8 @@ def within_depth_of_field(
 ) -> np.ndarray:
     """By how much the blur factor counts: 2/3 within the limits `sharp`, 1 outside, smoothly
     between around them."""
-    focus, reach = 0.5 * (sharp[0] + sharp[1]), 0.5 * (sharp[1] - sharp[0])
+    focus = 0.5 * (sharp[0] + sharp[1])
+    reach = 0.5 * (sharp[1] - sharp[0])
     # 1 on both limits
     place = np.abs(dioptre - focus) / reach if np.isfinite(reach) else 0 * dioptre
     if border == 0:
@@ -263,7 +264,8 @@ class PrintedDof(Dof):
         return out.pad(len(self.weights) // 2 + 1).clip(scene.camera.rect)
 
     def run(self, view: View, prepared: np.ndarray) -> Mapping[Layer, Any]:
-        facts, now = view.facts, view.layers
+        facts = view.facts
+        now = view.layers
         image = now[Layer.IMAGE]
         asked = super().demand(facts, view.scene, view.scene.camera.rect)
         if asked.nothing or not facts.present:
@@ -293,7 +295,8 @@ class PrintedDof(Dof):
         low, high = real.dioptre_range(grid)
         if not facts.model_box.empty:
             near, far = depth_range(facts)
-            low, high = min(low, 1 / far), max(high, 1 / near)
+            low = min(low, 1 / far)
+            high = max(high, 1 / near)
         p = self.params
         return 1 / p.far_m if p.far_m > 0 else low, 1 / p.near_m if p.near_m > 0 else high
 

@@ -84,12 +84,14 @@ def depth_buffer(view: View, near_m: float) -> np.ndarray:
     """(h, w) float32 0..1: what OpenGL's depth buffer holds with the far clip plane at infinity, 1
     - near_m / depth. Of the object, around it of the measured depth or the marker's plane; 1, as it
     is cleared, where nothing is known."""
-    facts, rect = view.facts, view.rect
+    facts = view.facts
+    rect = view.rect
     dioptre = np.zeros((rect.height, rect.width), np.float32)
     if facts.real_depth is not None:
         dioptre = dioptre_of(view[Layer.REAL_DEPTH])
     elif facts.camera_from_world is not None:
-        x, y = np.arange(rect.x0, rect.x1), np.arange(rect.y0, rect.y1)[:, None]
+        x = np.arange(rect.x0, rect.x1)
+        y = np.arange(rect.y0, rect.y1)[:, None]
         placed = facts.camera_from_world @ view.scene.world_from_anchor
         dioptre = plane_dioptre(x, y, view.scene.camera, placed)
     own = view[Layer.COVERAGE] >= 0.5
@@ -104,10 +106,8 @@ def cones(sites: Sites, size: np.ndarray, rect: Rect, m: int, n: int) -> np.ndar
     # cone need be longer
     length = (np.hypot(rect.width / n, rect.height / m) + 1 / STEPS) / float(size.min())
     labels = np.zeros((rect.height, rect.width), np.int32)
-    x, y = (
-        (sites.x / STEPS - rect.x0).astype(float),
-        (sites.y / STEPS - rect.y0).astype(float),
-    )
+    x = (sites.x / STEPS - rect.x0).astype(float)
+    y = (sites.y / STEPS - rect.y0).astype(float)
     _draw_cones(x, y, size.astype(float), length, np.full(labels.shape, np.inf), labels)
     return labels
 
@@ -120,10 +120,8 @@ def _draw_cones(x, y, size, length, depth, labels):  # pragma: no cover - compil
     for k in range(x.shape[0]):
         radius = length * size[k]
         slope = 1 / (size[k] * size[k])
-        top, left = (
-            max(int(np.ceil(y[k] - radius)), 0),
-            max(int(np.ceil(x[k] - radius)), 0),
-        )
+        top = max(int(np.ceil(y[k] - radius)), 0)
+        left = max(int(np.ceil(x[k] - radius)), 0)
         for j in range(top, min(int(np.floor(y[k] + radius)) + 1, h)):
             for i in range(left, min(int(np.floor(x[k] + radius)) + 1, w)):
                 z = ((i - x[k]) ** 2 + (j - y[k]) ** 2) * slope
@@ -192,7 +190,8 @@ def eq4_edges(
 def gradient(a: np.ndarray) -> np.ndarray:
     """(h, w, c) length of the difference to the pixels on the right and below; nothing lies behind
     the border."""
-    dx, dy = np.diff(a, axis=1, append=a[:, -1:]), np.diff(a, axis=0, append=a[-1:])
+    dx = np.diff(a, axis=1, append=a[:, -1:])
+    dy = np.diff(a, axis=0, append=a[-1:])
     return np.sqrt(dx * dx + dy * dy)
 
 
@@ -207,7 +206,9 @@ class PrintedWatercolor(Watercolor):
         return None
 
     def run(self, view: View, prepared: None) -> Mapping[Layer, np.ndarray]:
-        p, rect, coded = self.params, view.rect, self.frame(view)
+        p = self.params
+        rect = view.rect
+        coded = self.frame(view)
         m = p.m or max(round(rect.height / p.cell_px), 1)
         n = p.n or max(round(rect.width / p.cell_px), 1)
         sites = eq1_sites(rect, m, n, view.key)
@@ -220,14 +221,17 @@ class PrintedWatercolor(Watercolor):
 
     def frame(self, view: View) -> np.ndarray:
         """(h, w, 3) float32 coded: real scene and object, which is toon-shaded."""
-        p, image = self.params, view[Layer.IMAGE]
+        p = self.params
+        image = view[Layer.IMAGE]
         box = view.layers.extent(Layer.COVERAGE)
         if p.toon and view.facts.present and not box.empty:
-            part, image = view.layers.crop(box), image.copy()
+            part = view.layers.crop(box)
+            image = image.copy()
             up = view.scene.world_from_anchor.rotation[:, 2]
             lightDir, _ = toon_light(view.light, up)
             myColor = SRGB.encode(np.clip(part[Layer.ALBEDO], 0, 1))
-            normal, steps = part[Layer.NORMAL], (p.toon_thresholds, p.toon_factors)
+            normal = part[Layer.NORMAL]
+            steps = (p.toon_thresholds, p.toon_factors)
             shaded = SRGB.decode(toon(myColor, normal, lightDir, *steps))
             covered = part[Layer.COVERAGE][..., None] * shaded
             image[box.slices_in(view.rect)] += view.facts.opacity * (

@@ -34,7 +34,9 @@ def step3_environment(image: np.ndarray, size: int = SIZE) -> np.ndarray:
         return cv2.resize(part, (size, size), interpolation=cv2.INTER_AREA)
 
     # a side's first line is the one that touches the front
-    left, up, front = third(1, 0)[:, ::-1], third(0, 1)[::-1], third(1, 1)
+    left = third(1, 0)[:, ::-1]
+    up = third(0, 1)[::-1]
+    front = third(1, 1)
     return np.stack([third(1, 2), left, third(2, 1), up, front, front])
 
 
@@ -54,7 +56,8 @@ def with_border(faces: np.ndarray) -> np.ndarray:
     n = faces.shape[1]
     out = look_up(faces, bordered_directions(n)).reshape(6, n + 2, n + 2, -1)
     # at a corner three faces meet
-    ends, inner = slice(None, None, n + 1), slice(1, -1, max(n - 1, 1))
+    ends = slice(None, None, n + 1)
+    inner = slice(1, -1, max(n - 1, 1))
     others = out[:, inner, inner] + out[:, ends, inner] + out[:, inner, ends]
     out[:, ends, ends] = others / 3
     return out
@@ -88,6 +91,7 @@ def step4_environment(
     for k, share in ((below, below + 1 - level), (below + 1, level - below)):
         row, column = ((t + 1) / 2 * (mipmap[k].shape[1] - 2) + 0.5 for t in (v, u))
         for c in range(3):
-            channel, places = mipmap[k][..., c], (face, row, column)
+            channel = mipmap[k][..., c]
+            places = (face, row, column)
             out[:, c] += share / FULL * map_coordinates(channel, places, float, order=1)
     return out

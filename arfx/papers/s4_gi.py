@@ -114,7 +114,8 @@ class PrintedGi(Stage):
     terms = ("frames", "mpx", "object_mpx", "lamps", "new_lights")
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
-        model, mesh = facts.raster_box.clip(frame), self._mesh_rect(facts, scene, frame)
+        model = facts.raster_box.clip(frame)
+        mesh = self._mesh_rect(facts, scene, frame)
         if model.empty and mesh.empty:
             return Demand(EMPTY, "model and planes out of view")
         return Demand(model.union(mesh), "model and the real planes' mesh, as printed")
@@ -141,7 +142,8 @@ class PrintedGi(Stage):
         radiance = view.memo.of_light.get(
             repr(lamps), lambda: step2_radiance(volumes, real, virtual, lights)
         )
-        objects, shadow = view[Layer.VIRTUAL].copy(), view[Layer.SHADOW].copy()
+        objects = view[Layer.VIRTUAL].copy()
+        shadow = view[Layer.SHADOW].copy()
         bias = np.array(view.facts.bias_rgb, np.float32)
         picture = np.clip(view[Layer.PLATE] - bias, 0, None)
         wanted = view.out.clip(view.rect)
@@ -151,7 +153,8 @@ class PrintedGi(Stage):
             for y in range(within.y0, within.y1, BAND_PX):
                 band = replace(within, y0=y, y1=min(y + BAND_PX, within.y1))
                 at, surfels = real_surfels(view, prepared, band)
-                change, light = self.step4_real(volumes, radiance, surfels), picture[at]
+                change = self.step4_real(volumes, radiance, surfels)
+                light = picture[at]
                 ratio = np.minimum(change, light) / np.maximum(light, DARKEST)
                 shadow[at] -= self.params.strength * ratio
         environment = step3_mipmap(step3_environment(picture, FACE_PX))
@@ -192,7 +195,9 @@ class PrintedGi(Stage):
         """(m, 3) of V_mu, the rebuilt volume, and the environment behind it, on the object's
         surfaces."""
         turn = (view.pose @ view.scene.world_from_anchor).rotation
-        metal, roughness, specular = material[:, :1], material[:, 1], material[:, 2:3]
+        metal = material[:, :1]
+        roughness = material[:, 1]
+        specular = material[:, 2:3]
         six = wide_cones(volumes, radiance.V_mu, at, environment, turn)
         mirrored, half_deg = mirror_cones(volumes, radiance.V_mu, at, roughness)
         for deg in np.unique(half_deg):
@@ -290,7 +295,8 @@ def mirror_cones(
     tangent = mirror_tangent(np.rint(roughness * (LOBES - 1)) / (LOBES - 1))
     out = np.zeros((len(tangent), 4), np.float32)
     for one in np.unique(tangent):
-        rows, steps = tangent == one, cone_steps(float(one), volumes.volume.n)
+        rows = tangent == one
+        steps = cone_steps(float(one), volumes.volume.n)
         out[rows] = cone_trace(
             volumes, V, steps, at.position[rows], at.mirrored[rows][:, None]
         )[:, 0]

@@ -128,7 +128,9 @@ def octree_of(
     """cells (v, 3) int;  normal (v, 3);  opacity (v,);  stored : of `step2_mean`"""
     code = morton(cells)
     order = np.argsort(code)
-    codes, starts, masks = [code[order]], [], []
+    codes = [code[order]]
+    starts = []
+    masks = []
     while len(starts) < int(np.log2(volume.n)):
         above, start = np.unique(codes[-1] >> 3, return_index=True)
         masks.append(np.add.reduceat(1 << (codes[-1] & 7), start))

@@ -12,7 +12,9 @@ import numpy as np
 
 from arfx.measure.plots import drawing
 
-HOLDS, DIFFERS, UNDERIVED = "holds", "differs, explained", "cannot be derived"
+HOLDS = "holds"
+DIFFERS = "differs, explained"
+UNDERIVED = "cannot be derived"
 VERDICTS = (HOLDS, DIFFERS, UNDERIVED)
 BEFORE, PRINTED, CORRECTED, REFERENCE = (
     "before",

@@ -133,7 +133,8 @@ def equation_3(situation: Situation) -> Items:
 
 
 def figure_1(situation: Situation) -> Items:
-    item, level = "figure 1, triangles of the hemisphere", PrintedLightParams().map_level
+    item = "figure 1, triangles of the hemisphere"
+    level = PrintedLightParams().map_level
     middles = hemisphere(level)  # the map's axes
     yield row(item, "a hemisphere of triangles", len(middles), "", "", True)
     printed, corrected = map(situation.shot, METHODS)
@@ -212,7 +213,8 @@ def pictures(
 ) -> Items:
     """The last frame by both methods, beside the corrected one at its best, told the true lamp:
     mean difference where any of them changes the plate. items : what is printed, and title"""
-    lamp, scaled = situation.lamp, situation.work.scaled
+    lamp = situation.lamp
+    scaled = situation.work.scaled
     best = {
         "light": {
             "given": [lamp.azimuth_deg, lamp.elevation_deg, *lamp.rgb],

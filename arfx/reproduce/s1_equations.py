@@ -63,7 +63,8 @@ def rows(work: Work) -> Items:
 
 def section_2_3() -> Items:
     """Phong's model, and shadows."""
-    v, d = normalise(np.array([[-0.6, 0, 0.8]])), np.array([0.6, 0, 0.8])
+    v = normalise(np.array([[-0.6, 0, 0.8]]))
+    d = np.array([0.6, 0, 0.8])
     highlight = phong(UP[None], v, d, np.array([0.3]))[0]
     yield row(
         "section 2.3, Phong's highlight in the mirrored direction",
@@ -74,7 +75,8 @@ def section_2_3() -> Items:
         abs(highlight - 1) < 1e-9,
     )
     light = np.full((1, 1, 3), SRGB.decode(np.array(200 / 255)), np.float32)
-    half, no_bias = np.full((1, 1, 1), 0.5, np.float32), np.zeros(3, np.float32)
+    half = np.full((1, 1, 1), 0.5, np.float32)
+    no_bias = np.zeros(3, np.float32)
     dark = np.empty_like(light)
     shade(light, half, np.float32(1), no_bias, dark)
     coded = 255 * SRGB.encode(dark.astype(float))[0, 0, 0]
@@ -215,7 +217,9 @@ def equations_5_6(seeds: int) -> Items:
         "of 255",
         tolerance=1e-6,
     )
-    rho, found, solved = np.linspace(0.45, 0.55, 8), [], []
+    rho = np.linspace(0.45, 0.55, 8)
+    found = []
+    solved = []
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
         noisy = rho * rng.uniform(100, 200, (6, 1)) + BIAS + rng.normal(0, 2, (6, 8))
@@ -245,13 +249,17 @@ def equation_7() -> Items:
         """(t, 2) printed and corrected map at a normal that shows these values (t,), one
         after the other.
         """
-        printed, corrected, variance, out = LightMap(3, S_RAD), 0.0, np.inf, []
+        printed = LightMap(3, S_RAD)
+        corrected = 0.0
+        variance = np.inf
+        out = []
         at = (printed.n @ UP).argmax()
         for x in values:
             printed.add(UP, np.full(3, x))
             variance += (DRIFT_PER_S * corrected) ** 2 / 30  # what it may have changed by
             gain = 1 - NOISE**2 / (NOISE**2 + variance)
-            corrected, variance = corrected + gain * (x - corrected), gain * NOISE**2
+            corrected = corrected + gain * (x - corrected)
+            variance = gain * NOISE**2
             out.append((printed.M[at, 0], corrected))
         return np.array(out)
 
@@ -338,7 +346,8 @@ def equation_9(seeds: int) -> Items:
     yield row(
         "equation (9), ε", "a small angle", params.peak_apart_deg, "degrees", NO_VALUE
     )
-    candidates, n = hemisphere(4), cap(220)
+    candidates = hemisphere(4)
+    n = cap(220)
     for apart_deg in (30, 60, 80):
         half = np.radians(apart_deg / 2)
         lamps = np.array([[s * np.sin(half), 0, np.cos(half)] for s in (1, -1)])
@@ -413,7 +422,8 @@ def one_lamp(seed: int, params: PrintedLightParams) -> tuple[float | None, float
     marker turned through 100 normals.
     """
     rng = np.random.default_rng(seed)
-    tilt, azimuth = np.radians(rng.uniform(10, 45)), rng.uniform(0, 2 * np.pi)
+    tilt = np.radians(rng.uniform(10, 45))
+    azimuth = rng.uniform(0, 2 * np.pi)
     lamp = direction_of(azimuth, np.pi / 2 - tilt)[None]
     n = cap(100, seed)
     x = lit(n, lamp, 0.4) * (1 + 0.005 * rng.normal(size=(100, 1)))

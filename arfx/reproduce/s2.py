@@ -35,7 +35,8 @@ from arfx.stages.dof.aperture import disc
 from arfx.stages.dof.optics import CircleOfConfusion
 
 N, C, F, L = 11.0, 0.035, 200.0, 2500.0  # of the paper's example, mm
-LENS, OTHER = Lens(F, N, L), 5000.0
+LENS = Lens(F, N, L)
+OTHER = 5000.0
 AT = CircleOfConfusion(1e-3 * LENS.coc_mm_per_dioptre, 1e3 / L, math.inf, 1.0)
 # what fraction of a pixel's light each row of a blur circle gets
 DISC_ROWS = disc(3.0).sum(1)
@@ -56,16 +57,19 @@ def rows(work: Work) -> Items:
 
 def _circle() -> Items:
     """(1) to (3), (7)."""
-    true, infinite = float(circle_of_confusion_mm(OTHER, LENS)), LENS.coc_at_infinity_mm
+    true = float(circle_of_confusion_mm(OTHER, LENS))
+    infinite = LENS.coc_at_infinity_mm
     picture = eq2_picture(F, L)
-    first, third = eq1_circle(picture, L, OTHER, F / N), eq3_circle(F, N, L, OTHER)
+    first = eq1_circle(picture, L, OTHER, F / N)
+    third = eq3_circle(F, N, L, OTHER)
     seventh = float(eq7_circle(1e3 / OTHER, AT))
     yield _same("equation (1)", "C = V_A/U_A |U_B - U_A|/U_B D", first, true)
     # C of infinity is D v / u
     yield _same("equation (2)", "1/f = 1/u + 1/v", picture, infinite * L / (F / N))
     yield _same("equation (3)", "C = F²/(U_A - F) |U_B - U_A|/(N U_B)", third, true)
     yield _same("equation (7)", "C = F²/(U - F) |L - U|/(N L)", seventh, true)
-    item, far = "equation (3), infinitely far", eq3_circle(F, N, L, 1e12)
+    item = "equation (3), infinitely far"
+    far = eq3_circle(F, N, L, 1e12)
     yield _same(item, "F²/(N (U_A - F))", far, infinite, 1e-6)
 
 
@@ -222,7 +226,8 @@ def _blur_factor() -> Items:
         "C_near of a plane at 50 mm is so large that all else seems sharp: a depends on"
         " planes that nobody sees",
     )
-    place, circle = np.array([1e3 / OTHER]), circle_of_confusion_mm(OTHER, LENS)
+    place = np.array([1e3 / OTHER])
+    circle = circle_of_confusion_mm(OTHER, LENS)
     near, far_off = (blur_factor(place, (1 / z, 0.5), AT)[0] for z in (6.0, 1000.0))
     yield row(
         "section 3.2, a of a thing at 5 m",
@@ -290,7 +295,8 @@ def _luminance() -> Items:
 def _blocks() -> Items:
     """Figure 8: numbers of a CUDA block, and whether the printed filters fit into it."""
     (rows_px, columns_px), (tall, wide), size = (8, 16), (16, 24), 4
-    threads, with_border = rows_px * columns_px, tall * wide
+    threads = rows_px * columns_px
+    with_border = tall * wide
     parts = {
         "colour": ("4608", with_border * 3 * size),
         "circle": ("1536", with_border * size),
@@ -324,7 +330,8 @@ def _blocks() -> Items:
 
 def _blend() -> Items:
     """(9), the factor 2/3 and its border."""
-    over, under = np.full((1, 1, 3), 80.0), np.full((1, 1, 3), 40.0)
+    over = np.full((1, 1, 3), 80.0)
+    under = np.full((1, 1, 3), 40.0)
     value = eq9_blend(np.array([[0.25]]), over, under)[0, 0, 0]
     yield row("equation (9), 80 over 40 with α = 1/4", "50", value)
     picture = np.zeros((3, 8, 3))

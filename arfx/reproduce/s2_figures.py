@@ -100,7 +100,8 @@ def _diagrams() -> Items:
 
 def _coordinates(shot: Shot, picture: np.ndarray, camera_m: np.ndarray) -> Items:
     """The axes of the world, drawn into the picture. camera_m : where the camera stands"""
-    pose, drawn = shot.facts.pose, picture.copy()
+    pose = shot.facts.pose
+    drawn = picture.copy()
     ends = pose.apply(0.08 * np.vstack([np.zeros(3), np.eye(3)]))
     points = np.rint(shot.job.scene.camera.project(ends)).astype(int)
     for end, colour in zip(
@@ -126,7 +127,8 @@ def _steps(shot: Shot, made: Pictures) -> Items:
     """Figures 6 and 9 to 11: what the printed method keeps and makes on its way."""
     stage = shot.stages["dof"]
     assert isinstance(stage, PrintedDof)
-    run, scene = shot.renderer.run(shot.chain), shot.job.scene
+    run = shot.renderer.run(shot.chain)
+    scene = shot.job.scene
     now = run.layers.view(scene.camera.rect)
     dioptre, a = stage.depth_and_blur(
         now, shot.facts, scene, stage.prepare(scene, "standard")
@@ -227,7 +229,8 @@ def _points(shot: Shot, made: Pictures, points_m: np.ndarray) -> Items:
         min(area[PRINTED], area[CORRECTED]) > area[GAUSSIAN],
     )
     pad = 0.06 * made[BEFORE].shape[1]
-    low, high = np.maximum(at.min(0) - pad, 0).astype(int), (at.max(0) + pad).astype(int)
+    low = np.maximum(at.min(0) - pad, 0).astype(int)
+    high = (at.max(0) + pad).astype(int)
     part = np.s_[low[1] : high[1], low[0] : high[0]]
     near = {name: p[part].repeat(2, 0).repeat(2, 1) for name, p in made.items()}
     yield Figure("figure 13", "the bright points, twice as large", near)
@@ -251,7 +254,8 @@ def _in_focus(shot: Shot, before: np.ndarray) -> Items:
 
 
 def _out_of_focus(shot: Shot, made: Pictures) -> Items:
-    camera, words = shot.job.scene.camera, {}
+    camera = shot.job.scene.camera
+    words = {}
     for name, picture in made.items():
         kept = []
         for ball, (centre, radius_m) in BALLS_M.items():
@@ -293,7 +297,8 @@ def _spread(picture: np.ndarray, at: np.ndarray) -> float:
     """Pixels of a bright point, on average: those around it that are brighter than the wall
     there.
     """
-    luma, half = picture @ [0.299, 0.587, 0.114], round(0.035 * picture.shape[1])
+    luma = picture @ [0.299, 0.587, 0.114]
+    half = round(0.035 * picture.shape[1])
     found = []
     for x, y in np.rint(at).astype(int):
         part = luma[max(y - half, 0) : y + half + 1, x - half : x + half + 1]
@@ -306,7 +311,8 @@ def _steepest(picture: np.ndarray, centre: np.ndarray, radius: float) -> float:
     rows around its middle.
     """
     x, y = np.rint(centre).astype(int)
-    reach, found = max(round(0.35 * radius), 2), []
+    reach = max(round(0.35 * radius), 2)
+    found = []
     for edge in (round(x - radius), round(x + radius)):
         part = picture[y - reach : y + 1, edge - reach : edge + reach + 1].astype(float)
         found.append(np.abs(np.diff(part, axis=1)).max((1, 2)))

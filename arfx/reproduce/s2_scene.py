@@ -129,13 +129,15 @@ def photograph(work: Work) -> np.ndarray:
     """(h, w, 3) uint8 of what a camera with an open lens sees where the virtual ball is a
     real one.
     """
-    samples, parts = work.scaled(8, 4), {**STILL, "lens": OPEN, "ball": BALL}
+    samples = work.scaled(8, 4)
+    parts = {**STILL, "lens": OPEN, "ball": BALL}
     return work.clip(scene_of(work, (400, 320), samples, **parts)).frames()[0]
 
 
 def desk_shot(work: Work, clip: Clip, model: Mapping[str, Any]) -> Shot:
     """The frame with a model and the photograph's lens, as printed."""
-    width, fov = clip.scene.clip.width, np.radians(clip.scene.lens.fov_deg)
+    width = clip.scene.clip.width
+    fov = np.radians(clip.scene.lens.fov_deg)
     infinite_px = float(APERTURE_M * width / 2 / np.tan(fov / 2) / FOCUS_M)
     dof = {**PRINTED, "focus": f"{FOCUS_M}m", "aperture_px": infinite_px}
     return work.shot(clip, {"model": model, "dof": dof})
@@ -143,7 +145,8 @@ def desk_shot(work: Work, clip: Clip, model: Mapping[str, Any]) -> Shot:
 
 def under(shot: Shot, formula: str, **dof: Any) -> Shot:
     """The same with depth of field under another formula, and with other settings of it."""
-    now, kind = shot.stages["dof"].params, parameters()["dof"][formula]
+    now = shot.stages["dof"].params
+    kind = parameters()["dof"][formula]
     return shot.with_stage(stage_of("dof", converted(now, kind, **dof)))
 
 

@@ -33,7 +33,10 @@ from arfx.stages.watercolor.toon import RAMP, tones
 
 CELLS_ALONE = {"toon": False, "line_threshold": 2.0}
 DRAWN = 0.1  # share of the ink from which a line is seen
-BLACK, WHITE, RED, GREEN = (0, 0, 0), (1, 1, 1), (1, 0, 0), (0, 1, 0)
+BLACK = (0, 0, 0)
+WHITE = (1, 1, 1)
+RED = (1, 0, 0)
+GREEN = (0, 1, 0)
 # What (2), (3) and the left side of (4) come to for a step between two colours with alpha =
 # beta = .5 and BT.601
 STEP_VALUES = {
@@ -56,7 +59,8 @@ def rows(work: Work) -> Items:
 
 def frame_rows(frame: Shown) -> Items:
     seen = [name for name, where in frame.objects().items() if where.any()]
-    item, words = "figure 3, AR frame", f"{', '.join(seen)}, from one model file"
+    item = "figure 3, AR frame"
+    words = f"{', '.join(seen)}, from one model file"
     yield row(
         item,
         "virtual objects in the camera's frame",
@@ -73,12 +77,14 @@ def frame_rows(frame: Shown) -> Items:
 def cell_rows(frame: Shown) -> Items:
     """3.1.1, and 3.1.2 with cones of one size."""
     rect, (m, n) = frame.layers.rect, scene.cells_of(frame)
-    w, h = rect.width / n, rect.height / m
+    w = rect.width / n
+    h = rect.height / m
     cell_px = float(np.sqrt(w * h))
     sites = paper.eq1_sites(rect, m, n, 1)
     field = still_field(rect.width, rect.height, cell_px, 64)
     ours = make_sites(field, 1, 10**6, cell_px)
-    labels, own = paper.cones(sites, np.ones(m * n), rect, m, n), label(ours, rect).first
+    labels = paper.cones(sites, np.ones(m * n), rect, m, n)
+    own = label(ours, rect).first
     both = ((sites, labels), (ours, own))
 
     yield _not_stated(
@@ -210,9 +216,12 @@ def depth_rows(frame: Shown, work: Work) -> Items:
 
 def toon_rows(frame: Shown) -> Items:
     """3.2: the listing."""
-    p, c, cosine = printed(frame).params, corrected().params, np.linspace(-1, 1, 20001)
+    p = printed(frame).params
+    c = corrected().params
+    cosine = np.linspace(-1, 1, 20001)
     normal = np.stack([np.sqrt(1 - cosine**2), 0 * cosine, cosine], -1).astype(np.float32)
-    one, up = np.ones((len(cosine), 1), np.float32), np.array([0, 0, 1.0])
+    one = np.ones((len(cosine), 1), np.float32)
+    up = np.array([0, 0, 1.0])
     kinds = (
         paper.toon(one, normal, up, p.toon_thresholds, p.toon_factors)[:, 0],
         tones(cosine, c.toon_thresholds, c.toon_factors),
@@ -242,10 +251,8 @@ def toon_rows(frame: Shown) -> Items:
         f"corrected, a step is a ramp of {RAMP:g} in n · l, so that it does not crawl",
     )
 
-    where, stages = (
-        np.any(list(frame.objects().values()), axis=0),
-        (printed(frame), corrected()),
-    )
+    where = np.any(list(frame.objects().values()), axis=0)
+    stages = (printed(frame), corrected())
     smooth, *shares = (
         measure.printed_edges(picture, p)[where].mean()
         for picture in (frame.image, *map(frame.toon_shaded, stages))
@@ -254,7 +261,8 @@ def toon_rows(frame: Shown) -> Items:
         f"{toon:.1%} of the objects' pixels; {smooth:.1%} shaded smoothly"
         for toon in shares
     ]
-    item, why = "section 3.2, toon in place of Gouraud shading", "a soft step is no edge"
+    item = "section 3.2, toon in place of Gouraud shading"
+    why = "a soft step is no edge"
     yield row(item, "edges that stand out more", words, "", why, min(shares) > smooth)
 
 
@@ -265,9 +273,11 @@ def edge_rows(frame: Shown, work: Work) -> Items:
     ):
         for step, (left, right, *values) in STEP_VALUES.items():
             found = measure.edge_of(left, right, beta)
-            item, unit = f"{equation}, {step}", "α = β = .5"
+            item = f"{equation}, {step}"
+            unit = "α = β = .5"
             yield row(item, values[k], found, unit, tolerance=2e-4)
-    p, c = printed(frame).params, corrected().params
+    p = printed(frame).params
+    c = corrected().params
     yield _not_stated("matrix from RGB to YUV", p.yuv, "bt601")
     yield _not_stated("equation (2), alpha", p.alpha, ALPHA)
     yield _not_stated("equation (4), beta", p.beta, BETA)
@@ -283,8 +293,10 @@ def edge_rows(frame: Shown, work: Work) -> Items:
         " with hysteresis and a ramp",
     )
 
-    item, toon_shaded = "figure 5, edges of the frame", frame.toon_shaded(printed(frame))
-    edges, lines = measure.printed_edges(toon_shaded, p), measure.corrected_lines(frame)
+    item = "figure 5, edges of the frame"
+    toon_shaded = frame.toon_shaded(printed(frame))
+    edges = measure.printed_edges(toon_shaded, p)
+    lines = measure.corrected_lines(frame)
     why = (
         "what stands before nearly its own colour is below the threshold; corrected, the"
         " object's layers are looked at too"
@@ -303,7 +315,8 @@ def edge_rows(frame: Shown, work: Work) -> Items:
         unit = "share of it with an edge within 2 px"
         yield row(f"{item}, {name}", "found", found, unit, why, min(found) > 0.95)
     black = [seen.mean() for seen in strong]
-    words, unit = "outlines of virtual and real things", "share of the frame's pixels"
+    words = "outlines of virtual and real things"
+    unit = "share of the frame's pixels"
     yield row(item, words, black, unit, "", min(black) > 0)
     drawn = {
         BEFORE: toon_shaded,
@@ -318,16 +331,19 @@ def picture_rows(frame: Shown) -> Items:
     """3.3."""
     stage, rect, (m, n) = printed(frame), frame.layers.rect, scene.cells_of(frame)
     view = frame.view(stage)
-    coded, sites = stage.frame(view), paper.eq1_sites(rect, m, n, view.key)
+    coded = stage.frame(view)
+    sites = paper.eq1_sites(rect, m, n, view.key)
     size = paper.at_sites(paper.depth_buffer(view, stage.params.near_m), sites, rect)
     labels = paper.cones(sites, size, rect, m, n)
     names, count = paper.named_by_colour(coded, labels, sites, rect)
     cells = mean_colours(coded, [names], count)[0][names]
     edges = measure.printed_edges(coded, stage.params)
-    done, made = np.where(edges[..., None], 0, cells), frame.painted(frame.ready(stage))
+    done = np.where(edges[..., None], 0, cells)
+    made = frame.painted(frame.ready(stage))
     item = "figure 6, from the frame to the picture"
     apart = 255 * np.abs(done - made).max()
-    words, unit = "cells, with the edges over them", "grey levels from these steps"
+    words = "cells, with the edges over them"
+    unit = "grey levels from these steps"
     yield row(item, words, apart, unit, "", apart < 0.5)
     yield Figure(
         item,
@@ -361,10 +377,8 @@ def time_rows(frame: Shown, work: Work) -> Items:
     )
     for name, *settings in cases:
         still = measure.still_frames(frame, frames, *settings)
-        item, unit = (
-            f"section 2, coherence at rest, {name}",
-            "squared error {}, noise 2/255",
-        )
+        item = f"section 2, coherence at rest, {name}"
+        unit = "squared error {}, noise 2/255"
         yield row(
             item,
             "good",

@@ -43,7 +43,8 @@ def edge_of(
 
     The corrected one is of a slope of n px from one to the other, times n: it is a measure
     per px of half the picture."""
-    n, width = 64, 128
+    n = 64
+    width = 128
     ramp = np.clip((np.arange(width) - (width - n) / 2 + 0.5) / n, 0, 1)[:, None]
     step = np.array([[left, right]] * 2, float)
     colours = step[0, 0] + ramp * (step[0, 1] - step[0, 0])
@@ -70,9 +71,12 @@ def flips(frames: int) -> list[float]:
     """Share of the pixels along a grey step, in noise of 2/255, that get or lose more than
     half of their ink from frame to frame: as printed, corrected; each at the contrast at
     which most do."""
-    p, c, found = PrintedWatercolorParams(), corrected().params, []
+    p = PrintedWatercolorParams()
+    c = corrected().params
+    found = []
     for contrast in np.linspace(0.03, 0.25, 45):
-        g, base = np.random.default_rng(1), np.full((240, 64, 3), 0.4)
+        g = np.random.default_rng(1)
+        base = np.full((240, 64, 3), 0.4)
         base[:, 32:] += contrast
         ink = []
         for _ in range(frames):
@@ -107,20 +111,26 @@ def pan_errors(
     """The same in a pan over things of all sizes, along the true motion: printed with cells
     fixed on the screen (that is, of one frame's random numbers), corrected with cells that
     move with the things."""
-    rect, g, step_px = scene.camera.rect, np.random.default_rng(5), 3
-    height, width = rect.height, rect.width
+    rect = scene.camera.rect
+    g = np.random.default_rng(5)
+    step_px = 3
+    height = rect.height
+    width = rect.width
     wide = height, width + step_px * frames
     noise = [cv2.GaussianBlur(g.standard_normal(wide), (0, 0), s) * s for s in (4, 7, 12)]
     world = np.clip(0.5 + 0.15 * np.stack(noise, -1) / np.std(noise), 0, 1)
-    nodes, errors = still_field(width, height, CELL_PX, 96), []
+    nodes = still_field(width, height, CELL_PX, 96)
+    errors = []
     settings = PrintedWatercolorParams(**{"cell_px": CELL_PX, **of_printed})
     for stage in (PrintedWatercolor(settings), corrected(**of_corrected)):
-        ready, out = ReadyStage.of(stage, scene, "standard"), []
+        ready = ReadyStage.of(stage, scene, "standard")
+        out = []
         for k in range(frames):
             x = step_px * k
             seen = world[:, x : x + width] + g.normal(0, NOISE, (height, width, 3))
             places = pack_positions(nodes.u + x, nodes.v)
-            origin, shape = (nodes.x0, nodes.y0), nodes.u.shape
+            origin = (nodes.x0, nodes.y0)
+            shape = nodes.u.shape
             field = AdvectionField(0, GRID_PX, origin, shape, places)
             image = (np.clip(seen, 0, 1) ** 2).astype(np.float32)
             layers = Layers(rect, {Layer.IMAGE: Pixels(rect, image)})
@@ -136,7 +146,8 @@ def pan_errors(
 def areas_on_plane(bands: int, repeats: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(depth, m, of bands of a plane that goes from FAR_M above to NEAR_M below; mean area
     of cells there, px, as printed with cones by the depth buffer, and corrected)."""
-    height, width = _SIZE.height, _SIZE.width
+    height = _SIZE.height
+    width = _SIZE.width
     dioptre = np.linspace(1 / FAR_M, 1 / NEAR_M, height)
     near_m = PrintedWatercolorParams().near_m
     depth = np.tile((1 - near_m * dioptre)[:, None], width)
@@ -154,7 +165,8 @@ def areas_on_plane(bands: int, repeats: int) -> tuple[np.ndarray, np.ndarray, np
         by_formula = (sites, by_depth), (other, label(other, _SIZE).first)
         for counts, (at, labels) in zip(areas, by_formula, strict=True):
             area = np.bincount(labels.ravel(), minlength=len(at))
-            x, y = at.x / STEPS, at.y / STEPS
+            x = at.x / STEPS
+            y = at.y / STEPS
             counted = (area > 0) & (x > border) & (x < width - border)
             counted &= y < height - border
             for k, weights in enumerate((area[counted], None)):
@@ -165,7 +177,8 @@ def areas_on_plane(bands: int, repeats: int) -> tuple[np.ndarray, np.ndarray, np
 
 def plane_cones(depth: np.ndarray, key: int) -> tuple[Sites, np.ndarray]:
     """Printed sites in a buffer (h, w) of _SIZE, and labels of their cones by it."""
-    m, n = _SIZE.height // CELL_PX, _SIZE.width // CELL_PX
+    m = _SIZE.height // CELL_PX
+    n = _SIZE.width // CELL_PX
     sites = paper.eq1_sites(_SIZE, m, n, key)
     return sites, paper.cones(sites, paper.at_sites(depth, sites, _SIZE), _SIZE, m, n)
 
@@ -217,7 +230,8 @@ def corrected_cells(shown: Shown) -> np.ndarray:
     """(h, w) labels of a frame's background by measured depth, as dense as the printed ones
     in the mean.
     """
-    rect, strength = shown.layers.rect, corrected().params.nearer_finer
+    rect = shown.layers.rect
+    strength = corrected().params.nearer_finer
     real_m = shown.layers[Layer.REAL_DEPTH]
     field, _ = frame_field(shown.facts, shown.scene, CELL_PX, strength, real_m)
     return label(make_sites(field, 1, 10**6, CELL_PX), rect).first

@@ -121,7 +121,8 @@ class Shown(NamedTuple):
         """The same moment once more, as frame `index` of a resting camera: with other noise."""
         g = np.random.default_rng(index)
         noisy = np.clip(self.image + g.normal(0, sigma, self.image.shape), 0, 1)
-        rect, image = self.layers.rect, SRGB.decode(noisy).astype(np.float32)
+        rect = self.layers.rect
+        image = SRGB.decode(noisy).astype(np.float32)
         layers = Layers(rect, {**self.layers.written, Layer.IMAGE: Pixels(rect, image)})
         return self._replace(layers=layers, facts=replace(self.facts, index=index))
 
@@ -137,7 +138,8 @@ class Shown(NamedTuple):
         """(h, w) bool: pixels that are nearer by a tenth than one beside them, of the real
         scene beside the objects.
         """
-        depth, own = self.layers[Layer.REAL_DEPTH], self.layers[Layer.COVERAGE] > 0
+        depth = self.layers[Layer.REAL_DEPTH]
+        own = self.layers[Layer.COVERAGE] > 0
         farther = cv2.dilate(depth, np.ones((3, 3), np.uint8))
         return (farther > 1.1 * depth) & ~binary_dilation(own, np.ones((9, 9)))
 

@@ -44,7 +44,8 @@ def plane() -> Items:
     turn = rotation_from_euler_deg(180, 0, 0) @ rotation_from_euler_deg(-35, 0, 0)
     pose = Pose(turn, np.array([0.0, 0.0, 1.5]))
     rays = camera.directions(np.moveaxis(np.indices((120, 160)), 0, -1)[..., ::-1] * 1.0)
-    eye, world = pose.inverse().translation_m, rays @ turn
+    eye = pose.inverse().translation_m
+    world = rays @ turn
     depth = np.full(rays.shape[:2], np.inf)
     for height, low, high in (
         (0.0, (-0.6, -0.4), (0.6, 0.4)),
@@ -56,7 +57,8 @@ def plane() -> Items:
     depth += np.random.default_rng(4).normal(0, 0.003, depth.shape)
     cloud = cloud_of(depth, camera)
     assert cloud is not None
-    table, up = find_planes(cloud)[0], turn[:, 2]
+    table = find_planes(cloud)[0]
+    up = turn[:, 2]
     angle = float(np.degrees(angle_between(table.normal, up)))
     lower = float(np.abs(table.offset_m - up @ pose.translation_m)) * 1e3
     off = "the plane that was found is not the table"
@@ -76,7 +78,8 @@ def plane() -> Items:
         off,
         lower < 3,
     )
-    points, normal = cloud.points[table.inliers], table.normal
+    points = cloud.points[table.inliers]
+    normal = table.normal
     away = points @ normal - table.offset_m
     after = (points - np.outer(away, normal)) @ normal - table.offset_m
     moved, before = (float(np.abs(d).max()) * 1e3 for d in (after, away))

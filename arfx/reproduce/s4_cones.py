@@ -24,7 +24,8 @@ from arfx.stages.gi.health import furnace_mean
 
 def cones(work: Work) -> Items:
     directions, weights, _ = six_cones()
-    narrow, wide = float(np.degrees(np.arctan(mirror_tangent(0.1)))), WIDE_DEG
+    narrow = float(np.degrees(np.arctan(mirror_tangent(0.1))))
+    wide = WIDE_DEG
     yield row(
         "step 4, half-angle of the mirror cone at a roughness of 0.1",
         "a narrow cone",
@@ -137,7 +138,8 @@ def furnace(work: Work) -> Items:
         assert mean is not None
         return mean
 
-    corrected, printed = mean_with(STAGES["gi"]()), 0.0
+    corrected = mean_with(STAGES["gi"]())
+    printed = 0.0
     for n in (32, 64, 128):
         if n == 32 or not work.short:
             printed = mean_with(PrintedGi(PrintedGiParams(voxels=n, plane_albedo=1.0)))

@@ -23,8 +23,10 @@ def mirrored_room(clip: Clip, shot: Shot, picture: np.ndarray) -> np.ndarray:
     """The picture (h, w, 3) uint8 with the object's pixels as a mirror in the room of the
     clip, whose axes are the marker's.
     """
-    world, corners = World(clip.scene), shot.job.scene.model_corners_m
-    low, high = corners.min(0), corners.max(0)
+    world = World(clip.scene)
+    corners = shot.job.scene.model_corners_m
+    low = corners.min(0)
+    high = corners.max(0)
     room = world.at(float(world.frame_times_s[shot.facts.index]))
     # it throws its shadow
     ball = [*(low + high) / 2, (high - low).max() / 2, *(0.5, 0.5, 0.5), 0]

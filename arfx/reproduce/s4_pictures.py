@@ -71,7 +71,8 @@ def on_the_plane(work: Work) -> Items:
     """What indirect light alone changes of a grey plane beside a cube: linear light, mean
     of the pixels around the cube.
     """
-    red, black = [], []
+    red = []
+    black = []
     for model, changes in (("black-cube", black), ("red-cube", red)):
         for settings in methods(work, model, "8cm", plane_gloss=0.0).values():
             shot = work.shot(flat_scene(work), settings, 1)
@@ -165,7 +166,8 @@ def rates(work: Work) -> Items:
         f"frames/s at {size}, 64³ voxels",
         why,
     )
-    words, unit = "voxels in the memory of the graphics card", "MB of the whole process"
+    words = "voxels in the memory of the graphics card"
+    unit = "MB of the whole process"
     yield row("memory", words, (printed.peak_mb, corrected.peak_mb), unit, why)
     stages = sorted(printed.stage_s | corrected.stage_s)
     yield Bars(

@@ -37,7 +37,8 @@ def light(work: Work) -> Items:
     """A red cube on a grey plane under one light."""
     scene = flat_with(work, "red-cube", "8cm")
     mesh = step1_mesh(scene, ALBEDO)
-    real, virtual = RayScene(mesh), RayScene(scene)
+    real = RayScene(mesh)
+    virtual = RayScene(scene)
     made = step2_volumes(mesh, scene, 64)
     lowest = made.rows_of(0)
     places = np.array([[0.06, 0.05, 1e-6], [-0.06, 0.05, 1e-6], [0.06, -0.05, 1e-6]])
@@ -52,7 +53,8 @@ def light(work: Work) -> Items:
         tilt < 1,
     )
     R_rho, R_mu, shows = shadow_maps(real, virtual, made.volume, TOWARDS, RGB)
-    plane, expected = np.isfinite(R_rho.distance), ALBEDO * RGB * TOWARDS[2]
+    plane = np.isfinite(R_rho.distance)
+    expected = ALBEDO * RGB * TOWARDS[2]
     off = np.abs(R_rho.radiance[plane] / expected - 1).max()
     yield row(
         "step 2, R_ρ: light of the real scene's points",
@@ -110,7 +112,8 @@ def small(cells: np.ndarray, alpha: float = 1.0, stored: bool = False) -> Volume
     stored : of `step2_mean`
     """
     cube = Volume(N, (0.0, 0.0, 0.0), 1.0)
-    none, opacity = np.zeros((len(cells), 3)), np.full(len(cells), alpha)
+    none = np.zeros((len(cells), 3))
+    opacity = np.full(len(cells), alpha)
     return octree_of(cube, cells, none, opacity, stored)
 
 
@@ -123,8 +126,11 @@ def ray(
     """(4,) radiance and what is left behind a ray along x through voxels that glow as
     bright as they are opaque: as printed, and with means of stored children and radiance in
     proportion to a step's opacity."""
-    taken, glow = np.array(steps, np.float32), np.full((len(cells), 3), alpha)
-    place, along, made = np.array([start]), np.array([[[1.0, 0, 0]]]), []
+    taken = np.array(steps, np.float32)
+    glow = np.full((len(cells), 3), alpha)
+    place = np.array([start])
+    along = np.array([[[1.0, 0, 0]]])
+    made = []
     for better in (False, True):
         volumes = small(cells, alpha, better)
         V = volumes.filtered(glow, better)
@@ -172,7 +178,8 @@ def filtering() -> Items:
 def memory(work: Work) -> Items:
     """Of all volumes of a teapot and the plane under it, beside arrays."""
     scene = flat_with(work, "red-teapot", "12cm")
-    mesh, made = step1_mesh(scene, ALBEDO), {}
+    mesh = step1_mesh(scene, ALBEDO)
+    made = {}
     for n in (64, 128, 256):
         printed, dense = (
             size / 2**20 for size in step2_volumes(mesh, scene, n).memory_bytes(CHANNELS)

@@ -114,7 +114,8 @@ class Shot(NamedTuple):
         not counted.
         """
         chain = self.up_to(stage)
-        run, out = self.renderer.run(chain), self.renderer.out(chain)
+        run = self.renderer.run(chain)
+        out = self.renderer.out(chain)
         return median_s(lambda: run.rerun(out), repeats)
 
 
@@ -230,14 +231,16 @@ def timed_job(folder: Path, fps: float, settings: Settings) -> Timed:
     """Runs the job of a clip's folder in the process that it is called in. The clip's first
     frames are processed once before, so that nothing is imported, compiled or loaded while
     time is taken. fps : of the clip"""
-    start_mb, report = _held_mb(), dict[str, Any]()
+    start_mb = _held_mb()
+    report = dict[str, Any]()
     for more in ({"input": {"end": f"{(WARM_FRAMES - 0.5) / fps}s"}}, {}):
         config = _config(folder, merge(settings, more), folder.parent / "timed.mkv")
         report = process(
             config, Options(overwrite=True, workers=1, notice=lambda message: None)
         )
         interrupt.resume()
-    spent, frames = report["timing"], report["output"]["frames"]
+    spent = report["timing"]
+    frames = report["output"]["frames"]
     phases = ("decode", "analyse", "render", "encode")
     seconds = sum(spent[f"{phase}_s"] for phase in phases)
     stages = {
