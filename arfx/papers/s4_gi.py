@@ -32,7 +32,6 @@ from arfx.core.scene import Scene
 from arfx.core.settings import Fraction, setting
 from arfx.core.stage import Demand, Stage, View
 from arfx.papers.s4_cones import (
-    WIDE_DEG,
     around_normals,
     cone_steps,
     cone_trace,
@@ -45,7 +44,7 @@ from arfx.papers.s4_environment import (
     step4_environment,
 )
 from arfx.papers.s4_plane import step1_mesh
-from arfx.papers.s4_shadow_maps import Radiance, step2_radiance
+from arfx.papers.s4_shadow_maps import step2_radiance
 from arfx.papers.s4_volumes import Volumes, step2_volumes
 from arfx.stages.gi import GiParams
 from arfx.stages.gi.gloss import mirror_tangent
@@ -107,6 +106,10 @@ class Surfels(NamedTuple):
         return -(self.seen * self.normal).sum(-1)
 
 
+# mip levels of step 3's environment, and the rotation (3, 3) to the camera's axes from the anchor's
+Around = tuple[list[np.ndarray], np.ndarray]
+
+
 class PrintedGi(Stage):
     name = "gi"
     facts = frozenset({"pose", "light", "depth"})
@@ -153,57 +156,51 @@ class PrintedGi(Stage):
             for y in range(within.y0, within.y1, BAND_PX):
                 band = replace(within, y0=y, y1=min(y + BAND_PX, within.y1))
                 at, surfels = real_surfels(view, prepared, band)
-                change = self.step4_real(volumes, radiance, surfels)
+                change = self.step4_real(volumes, radiance.V_delta, surfels)
                 light = picture[at]
                 ratio = np.minimum(change, light) / np.maximum(light, DARKEST)
                 shadow[at] -= self.params.strength * ratio
-        environment = step3_mipmap(step3_environment(picture, FACE_PX))
-        rows, surfels = virtual_surfels(view, wanted.clip(view.facts.raster_box))
-        objects[rows] += view[Layer.COVERAGE][rows][:, None] * self.step4_virtual(
-            view,
-            volumes,
-            radiance,
-            environment,
-            surfels,
-            view[Layer.ALBEDO][rows],
-            view[Layer.MATERIAL][rows],
+        around = (
+            step3_mipmap(step3_environment(picture, FACE_PX)),
+            (view.pose @ view.scene.world_from_anchor).rotation,
         )
+        rows, surfels = virtual_surfels(view, wanted.clip(view.facts.raster_box))
+        coverage, rho, material = (
+            view[name][rows] for name in (Layer.COVERAGE, Layer.ALBEDO, Layer.MATERIAL)
+        )
+        light = self.step4_virtual(volumes, radiance.V_mu, around, surfels, rho, material)
+        objects[rows] += coverage[:, None] * light
         return {Layer.VIRTUAL: objects, Layer.SHADOW: np.maximum(shadow, 0)}
 
-    def step4_real(self, volumes: Volumes, radiance: Radiance, at: Surfels) -> np.ndarray:
+    def step4_real(
+        self, volumes: Volumes, V_delta: np.ndarray, at: Surfels
+    ) -> np.ndarray:
         """(m, 3) of V_delta on real surfaces: by the wide cones, and by the mirror cone, in which
         the object is reflected."""
         p = self.params
-        out = p.plane_albedo * wide_cones(volumes, radiance.V_delta, at)[:, :3]
+        out = p.plane_albedo * wide_cones(volumes, V_delta, at)[:, :3]
         if p.plane_gloss > 0:
             rough = np.full(len(out), p.plane_roughness)
-            mirrored, _ = mirror_cones(volumes, radiance.V_delta, at, rough)
+            mirrored = mirror_cones(volumes, V_delta, at, rough)
             a, b = fresnel(rough, at.cosine)
             out += (p.plane_gloss * a + b) * mirrored[:, :3]
         return out
 
     def step4_virtual(
         self,
-        view: View,
         volumes: Volumes,
-        radiance: Radiance,
-        environment: list[np.ndarray],
+        V_mu: np.ndarray,
+        around: Around,
         at: Surfels,
         rho: np.ndarray,
         material: np.ndarray,
     ) -> np.ndarray:
         """(m, 3) of V_mu, the rebuilt volume, and the environment behind it, on the object's
         surfaces."""
-        turn = (view.pose @ view.scene.world_from_anchor).rotation
-        metal = material[:, :1]
-        roughness = material[:, 1]
-        specular = material[:, 2:3]
-        six = wide_cones(volumes, radiance.V_mu, at, environment, turn)
-        mirrored, half_deg = mirror_cones(volumes, radiance.V_mu, at, roughness)
-        for deg in np.unique(half_deg):
-            k = half_deg == deg
-            behind = step4_environment(environment, at.mirrored[k] @ turn.T, deg)
-            mirrored[k, :3] += mirrored[k, 3:] * behind
+        metal, roughness, specular = np.split(material[:, :3], 3, 1)
+        roughness = roughness[:, 0]
+        six = wide_cones(volumes, V_mu, at, around)
+        mirrored = mirror_cones(volumes, V_mu, at, roughness, around)
         a, b = fresnel(roughness, at.cosine)
         f0 = 0.08 * specular * (1 - metal)
         gloss = np.where(f0 + metal > 0, (f0 + rho * metal) * a + b, 0)
@@ -259,23 +256,50 @@ def virtual_surfels(view: View, within: Rect) -> tuple[Rows, Surfels]:
 
 
 def wide_cones(
+    volumes: Volumes, V: np.ndarray, at: Surfels, around: Around | None = None
+) -> np.ndarray:
+    """(m, 4) of six cones about the normal, .25 of the one along it and .15 of each of the five
+    around, and of what is around behind them."""
+    six, weights, tan_half = six_cones()
+    d = around_normals(at.normal.astype(np.float32), six)
+    return np.asarray(weights @ gathered(volumes, V, at.position, d, tan_half, around))
+
+
+def mirror_cones(
     volumes: Volumes,
     V: np.ndarray,
     at: Surfels,
-    environment: list[np.ndarray] | None = None,
-    turn: np.ndarray | None = None,
+    roughness: np.ndarray,
+    around: Around | None = None,
 ) -> np.ndarray:
-    """(m, 4) of six cones about the normal, .25 of the one along it and .15 of each of the five
-    around, and of the environment
-    behind them. turn (3, 3) : camera from anchor axes"""
-    six, weights, tan_half = six_cones()
-    d = around_normals(at.normal.astype(np.float32), six)
-    out = cone_trace(volumes, V, cone_steps(tan_half, volumes.volume.n), at.position, d)
-    if environment is not None and turn is not None:
-        turned = d.reshape(-1, 3) @ turn.T
-        behind = step4_environment(environment, turned, WIDE_DEG)
+    """(m, 4) of one narrow cone about the mirrored line of sight, and of what is around behind it.
+    roughness (m,)"""
+    tangent = mirror_tangent(np.rint(roughness * (LOBES - 1)) / (LOBES - 1))
+    out = np.zeros((len(tangent), 4), np.float32)
+    for one in np.unique(tangent):
+        rows = tangent == one
+        d = at.mirrored[rows][:, None]
+        out[rows] = gathered(volumes, V, at.position[rows], d, one, around)[:, 0]
+    return out
+
+
+def gathered(
+    volumes: Volumes,
+    V: np.ndarray,
+    position: np.ndarray,
+    d: np.ndarray,
+    tan_half: float,
+    around: Around | None,
+) -> np.ndarray:
+    """(m, k, 4) of cones from positions (m, 3) in directions (m, k, 3), and of what is around
+    behind them."""
+    out = cone_trace(volumes, V, cone_steps(tan_half, volumes.volume.n), position, d)
+    if around is not None:
+        environment, turn = around
+        half_deg = float(np.degrees(np.arctan(tan_half)))
+        behind = step4_environment(environment, d.reshape(-1, 3) @ turn.T, half_deg)
         out[..., :3] += out[..., 3:] * behind.reshape(d.shape)
-    return np.asarray(weights @ out)
+    return out
 
 
 def fresnel(roughness: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -285,19 +309,3 @@ def fresnel(roughness: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.n
     column = np.rint(np.clip(cosine, 0, 1) * (COSINES - 1)).astype(int)
     entry = split_sum()[row, column]
     return entry[:, :1], entry[:, 1:]
-
-
-def mirror_cones(
-    volumes: Volumes, V: np.ndarray, at: Surfels, roughness: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """((m, 4) of one narrow cone about the mirrored line of sight, (m,) degrees of its half-angle).
-    roughness (m,)"""
-    tangent = mirror_tangent(np.rint(roughness * (LOBES - 1)) / (LOBES - 1))
-    out = np.zeros((len(tangent), 4), np.float32)
-    for one in np.unique(tangent):
-        rows = tangent == one
-        steps = cone_steps(float(one), volumes.volume.n)
-        out[rows] = cone_trace(
-            volumes, V, steps, at.position[rows], at.mirrored[rows][:, None]
-        )[:, 0]
-    return out, np.degrees(np.arctan(tangent))

@@ -76,7 +76,7 @@ def through() -> Row:
     up = np.array([[0.0, 0.0, 1.0]])
     at = Surfels(np.full((1, 3), 8.0), up, -up)
     environment = step3_mipmap(np.full((6, 8, 8, 3), 0.5))
-    red, _, _, left = wide_cones(made, V, at, environment, np.eye(3))[0]
+    red, _, _, left = wide_cones(made, V, at, (environment, np.eye(3)))[0]
     share = red / (0.5 * left)
     return row(
         "step 4, environment through a half opaque ceiling, over what cones let through",
