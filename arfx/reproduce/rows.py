@@ -72,6 +72,7 @@ def row(
     reason: str = "",
     holds: bool | None = None,
     tolerance: float | None = None,
+    below: float | None = None,
 ) -> Row:
     """A row whose verdict follows from its values.
 
@@ -80,14 +81,16 @@ def row(
     reason : why, for all but HOLDS; else it is left out
     holds : whether what is printed was found; None = where the values agree with it: words
     that are the same, or, for a number as it stands there, "58.7", what rounds to its digits
-    tolerance : in place of half its last digit
+    tolerance : in place of half its last digit;  below : it was found where all values are
     """
     pair = values if isinstance(values, (tuple, list)) else (values, None)
     of_paper, corrected = (
         v.item() if isinstance(v, (np.generic, np.ndarray)) else v for v in pair
     )
+    known: list[Any] = [value for value in (of_paper, corrected) if value is not None]
+    if below is not None:
+        holds = max(known) < below
     if holds is None and isinstance(printed, str):
-        known = [value for value in (of_paper, corrected) if value is not None]
         number = as_number(printed)
         if number is None:
             holds = all(value == printed for value in known)

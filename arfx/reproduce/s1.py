@@ -128,7 +128,7 @@ def equation_3(situation: Situation) -> Items:
         off,
         "%",
         "highlights, and reflections of the room",
-        max(off) < 5,
+        below=5,
     )
 
 
@@ -156,14 +156,13 @@ def figure_1(situation: Situation) -> Items:
         max(light[name].lights, key=lambda li: sum(li.rgb)).unit
         for name in (PRINTED, CORRECTED)
     )
-    off = [float(np.degrees(angle_between(unit, lamp))) for unit in brightest]
     yield row(
         "section 4, direction of the lamp: degrees off",
         "accurate",
-        off,
+        [float(np.degrees(angle_between(unit, lamp))) for unit in brightest],
         "degrees",
         s1_equations.PEAKS,
-        max(off) < NEAR_DEG,
+        below=NEAR_DEG,
     )
     found = printed_map(printed.facts.light_map)
     assert found is not None
@@ -235,7 +234,7 @@ def pictures(
     ]
     unit = "grey levels from the reference"
     for item, (printed, title) in items.items():
-        yield row(item, printed, off, unit, LUMPS, max(off) < 3)
+        yield row(item, printed, off, unit, LUMPS, below=3)
         yield Figure(item, title, {BEFORE: before, **made})
 
 

@@ -101,14 +101,13 @@ def equation_1() -> Items:
     fitted = tuple(FittedLight(a, b[None], 1.0) for a, b in lamps)
     found = LightFit(MEASURED, "", np.zeros((1, 3)), np.zeros((1, 3)), fitted)
     both = Light((0.0,) * 3, shared).radiance(n), found.irradiance(n)
-    off = [np.abs(seen - x).max() for seen in both]
     yield row(
         "equation (1), two lights: largest difference from the sum",
         "x = Σ max(n·d, 0) Ω",
-        off,
+        [np.abs(seen - x).max() for seen in both],
         "",
         "",
-        max(off) < 1e-12,
+        below=1e-12,
     )
 
 
@@ -341,8 +340,13 @@ def cap(count: int, seed: int = 0) -> np.ndarray:
 def equation_9(seeds: int) -> Items:
     """Lights at the peaks of the map."""
     params = PrintedLightParams(albedos="known")
-    share = f"{params.peak:g} of the largest"
-    yield row("equation (9), I_c", "a large value", share, "", NO_VALUE)
+    yield row(
+        "equation (9), I_c",
+        "a large value",
+        f"{params.peak:g} of the largest",
+        "",
+        NO_VALUE,
+    )
     yield row(
         "equation (9), ε", "a small angle", params.peak_apart_deg, "degrees", NO_VALUE
     )

@@ -127,14 +127,16 @@ def _limits() -> Items:
     px_per_dioptre = 1e-3 * beyond.coc_mm_per_dioptre
     at = replace(AT, focus=1e3 / beyond.focus_mm, px_per_dioptre=px_per_dioptre)
     least = sharp_range(at, F, C)[0]
-    words = [
-        "not defined" if mm is None else "infinite" if math.isinf(mm) else f"{mm:g}"
-        for mm in (printed_limits(beyond, C).back_mm, depth_of_field(beyond, C).back_mm)
-    ]
     yield row(
         "equation (5), beyond the hyperfocal distance",
         "NCL²/(F² - NCL)",
-        words,
+        [
+            "not defined" if mm is None else "infinite" if math.isinf(mm) else f"{mm:g}"
+            for mm in (
+                printed_limits(beyond, C).back_mm,
+                depth_of_field(beyond, C).back_mm,
+            )
+        ],
         "",
         f"negative in print. As a dioptre its limit is {least:.4f} / m, below that of"
         " infinity: all behind is inside",
@@ -212,8 +214,13 @@ def _blur_factor() -> Items:
     item = "section 3, blur with distance from the focus"
     yield row(item, "rises", rises, "", "not everywhere")
     a = blur_factor(np.array([0.0, 1e3 / L, 50.0]), (0.1, 2.0), AT)
-    alphas = f"{a.min():g} to {a.max():g}"
-    yield row("section 3.4, range of α", "0 to 1", alphas, "", "outside of it")
+    yield row(
+        "section 3.4, range of α",
+        "0 to 1",
+        f"{a.min():g} to {a.max():g}",
+        "",
+        "outside of it",
+    )
     words = "dioptres, 0 to 1 / z_near"
     why = "1 / z has no largest distance: what is infinitely far has a place"
     yield row("section 3.2, depth = z / z_far", "0 to 1", (words, words), "", why)
@@ -263,8 +270,11 @@ def _luminance() -> Items:
 
     # a little more in one pixel alone: that in the middle is no neighbour of its own
     more = 100 + np.eye(9, dtype=np.float32).reshape(9, 3, 3)
-    seen = sum(middle(only) > 100.5 for only in np.delete(more, 4, 0))
-    yield row("figure 7, neighbours that count", "8", seen)
+    yield row(
+        "figure 7, neighbours that count",
+        "8",
+        sum(middle(only) > 100.5 for only in np.delete(more, 4, 0)),
+    )
     result = middle(around)
     brighter = around[around > 100]
     expected = float(np.average(brighter, weights=brighter - 100))
@@ -332,8 +342,11 @@ def _blend() -> Items:
     """(9), the factor 2/3 and its border."""
     over = np.full((1, 1, 3), 80.0)
     under = np.full((1, 1, 3), 40.0)
-    value = eq9_blend(np.array([[0.25]]), over, under)[0, 0, 0]
-    yield row("equation (9), 80 over 40 with α = 1/4", "50", value)
+    yield row(
+        "equation (9), 80 over 40 with α = 1/4",
+        "50",
+        eq9_blend(np.array([[0.25]]), over, under)[0, 0, 0],
+    )
     picture = np.zeros((3, 8, 3))
     picture[:, 4:] = 1
     half = eq9_blend(np.full((3, 8), 0.5), np.full_like(picture, 0.5), picture)

@@ -148,17 +148,16 @@ def cell_rows(frame: Shown) -> Items:
     )
 
     item = "figure 4, cells in their mean colour"
-    errors = [
-        measure.mean_error(frame.image, labels),
-        measure.mean_error(frame.layers[Layer.IMAGE], own),
-    ]
     yield row(
         item,
         "the mean of the cell's pixels",
-        errors,
+        [
+            measure.mean_error(frame.image, labels),
+            measure.mean_error(frame.layers[Layer.IMAGE], own),
+        ],
         "grey levels off it at most",
         "",
-        max(errors) < 0.01,
+        below=0.01,
     )
     made = frame.painted(frame.ready(printed(frame, **CELLS_ALONE)))
     flat = frame.painted(frame.ready(corrected(cell_px=scene.CELL_PX, **FLAT)))
@@ -344,7 +343,7 @@ def picture_rows(frame: Shown) -> Items:
     apart = 255 * np.abs(done - made).max()
     words = "cells, with the edges over them"
     unit = "grey levels from these steps"
-    yield row(item, words, apart, unit, "", apart < 0.5)
+    yield row(item, words, apart, unit, "", below=0.5)
     yield Figure(
         item,
         "the printed steps",

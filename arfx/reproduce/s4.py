@@ -43,10 +43,11 @@ def plane() -> Items:
     camera = Camera(160, 120, np.array([[150.0, 0, 79.5], [0, 150, 59.5], [0, 0, 1]]))
     turn = rotation_from_euler_deg(180, 0, 0) @ rotation_from_euler_deg(-35, 0, 0)
     pose = Pose(turn, np.array([0.0, 0.0, 1.5]))
-    rays = camera.directions(np.moveaxis(np.indices((120, 160)), 0, -1)[..., ::-1] * 1.0)
+    x, y = np.meshgrid(np.arange(160.0), np.arange(120.0))
+    rays = camera.directions(np.stack([x, y], -1))
     eye = pose.inverse().translation_m
     world = rays @ turn
-    depth = np.full(rays.shape[:2], np.inf)
+    depth = np.full(x.shape, np.inf)
     for height, low, high in (
         (0.0, (-0.6, -0.4), (0.6, 0.4)),
         (0.12, (-0.45, 0.0), (-0.25, 0.2)),
@@ -59,8 +60,8 @@ def plane() -> Items:
     assert cloud is not None
     table = find_planes(cloud)[0]
     up = turn[:, 2]
-    angle = float(np.degrees(angle_between(table.normal, up)))
-    lower = float(np.abs(table.offset_m - up @ pose.translation_m)) * 1e3
+    angle = np.degrees(angle_between(table.normal, up))
+    lower = 1e3 * abs(table.offset_m - up @ pose.translation_m)
     off = "the plane that was found is not the table"
     yield row(
         "step 1, the likeliest plane: its normal",
@@ -68,7 +69,7 @@ def plane() -> Items:
         (angle, angle),
         "degrees off",
         off,
-        angle < 0.5,
+        below=0.5,
     )
     yield row(
         "step 1, the likeliest plane: its height",
@@ -76,13 +77,13 @@ def plane() -> Items:
         (lower, lower),
         "mm off",
         off,
-        lower < 3,
+        below=3,
     )
     points = cloud.points[table.inliers]
     normal = table.normal
     away = points @ normal - table.offset_m
     after = (points - np.outer(away, normal)) @ normal - table.offset_m
-    moved, before = (float(np.abs(d).max()) * 1e3 for d in (after, away))
+    moved, before = (1e3 * np.abs(d).max() for d in (after, away))
     yield row(
         "step 1, points moved onto the plane and joined to a mesh",
         "moved towards the plane",
@@ -92,14 +93,14 @@ def plane() -> Items:
         moved < 1e-6 < before,
     )
     found = scene_planes([(depth, pose)], camera)[0].real_plane()
-    centre = float(np.linalg.norm(found.world_from_plane.translation_m[:2])) * 1e2
+    centre = 1e2 * np.linalg.norm(found.world_from_plane.translation_m[:2])
     yield row(
         "step 1, where the object stands",
         "in the middle of the plane",
         (centre, centre),
         "cm from the table's middle",
         "the middle of what is seen, moved to where it is well inside",
-        centre < 8,
+        below=8,
     )
 
 
@@ -137,15 +138,14 @@ def environment() -> Items:
         ("(34), middle of the picture, mirrored, on +z", 5, (1, 1)),
     )
     for words, face, part in faces:
-        off = [np.abs(f[face] - colours[part]).max() for f in folded]
         yield row(
             f"step 3 {words}",
             "that part of the picture",
-            off,
+            [np.abs(f[face] - colours[part]).max() for f in folded],
             "at most off, of 1",
             "the angle from the line of sight is the distance from the picture's middle, so"
             " that no edge of the cube shows as a seam",
-            max(off) < 1e-6,
+            below=1e-6,
         )
     mipmap = step3_mipmap(step3_environment(image, FACE_PX))
     formats = [
@@ -161,26 +161,24 @@ def environment() -> Items:
         formats[0] == "4 x 16 bit u" == formats[1],
     )
     even = np.full((90, 120, 3), 0.4)
-    flat = [np.ptp(fold(even, SIDE)) for fold in FOLDED.values()]
     yield row(
         "step 3, environment of a constant picture",
         "constant, as follows",
-        flat,
+        [np.ptp(fold(even, SIDE)) for fold in FOLDED.values()],
         "largest difference",
         "it is not",
-        max(flat) < 1e-6,
+        below=1e-6,
     )
     y, x = np.mgrid[0:180, 0:240] / 40
     smooth = np.stack([np.sin(x + y), np.cos(y), np.sin(x)], -1) / 3 + 0.5
-    seam = [seam_ratio(fold(smooth, SIDE)) for fold in FOLDED.values()]
     yield row(
         "step 3, seams of the environment",
         "acceptable for the whole surroundings",
-        seam,
+        [seam_ratio(fold(smooth, SIDE)) for fold in FOLDED.values()],
         "steps across edges of the cube / within faces",
         "sides that were cut out of the picture do not meet the mirrored back; the"
         " corrected fold is continuous",
-        max(seam) < 1.5,
+        below=1.5,
     )
     yield row(
         f"step 3, levels of the mip chain of {FACE_PX}² texels a face",

@@ -24,7 +24,7 @@ from arfx.stages.gi.health import furnace_mean
 
 def cones(work: Work) -> Items:
     directions, weights, _ = six_cones()
-    narrow = float(np.degrees(np.arctan(mirror_tangent(0.1))))
+    narrow = np.degrees(np.arctan(mirror_tangent(0.1)))
     wide = WIDE_DEG
     yield row(
         "step 4, half-angle of the mirror cone at a roughness of 0.1",
@@ -91,37 +91,35 @@ def through() -> Row:
 def step_length() -> Items:
     """Through a block of opacity and radiance one half."""
     block = np.argwhere(np.ones((N, N, N)))
-    one, two, four = (
-        ray(0.5, block, [[i / k, 0, 1 / k] for i in range(k)], [2.0, 8, 8])
-        for k in (1, 2, 4)
+    one, two, four, half = (
+        np.array(ray(0.5, block, [[k * length, 0, length] for k in range(count)]))
+        for count, length in ((1, 1.0), (2, 0.5), (4, 0.25), (1, 0.5))
     )
-    half = [1 - float(r[3]) for r in ray(0.5, block, [[0.0, 0, 0.5]], [2.0, 8, 8])]
-    whole = [1 - float(r[3]) for r in two]
     yield row(
         "step 4, opacity of half a step where α = 0.5",
         "two of them make one step, as follows",
-        half,
+        list(1 - half[:, 3]),
         "",
         "two make another",
-        max(abs((1 - h) ** 2 - 0.5) for h in half) < 1e-6,
+        abs(half[:, 3] ** 2 - 0.5).max() < 1e-6,
     )
     yield row(
         "step 4, opacity of two half steps where α = 0.5",
         "that of one step, as follows",
-        whole,
+        list(1 - two[:, 3]),
         "",
         "another",
-        max(abs(w - 0.5) for w in whole) < 1e-6,
+        abs(two[:, 3] - 0.5).max() < 1e-6,
     )
-    brighter = [a[0] / b[0] for a, b in zip(four, one, strict=True)]
+    brighter = four[:, 0] / one[:, 0]
     yield row(
         "step 4, light of a voxel that is passed in four steps, over one step",
         "not stated",
-        brighter,
+        list(brighter),
         "",
         "radiance counts whole at every step; corrected: in proportion to the step's"
         " opacity",
-        max(brighter) < 1.01,
+        brighter.max() < 1.01,
     )
 
 
@@ -139,16 +137,15 @@ def furnace(work: Work) -> Items:
         return mean
 
     corrected = mean_with(STAGES["gi"]())
-    printed = 0.0
     for n in (32, 64, 128):
         if n == 32 or not work.short:
             printed = mean_with(PrintedGi(PrintedGiParams(voxels=n, plane_albedo=1.0)))
-        means = printed, corrected
+        means = np.array([printed, corrected])
         yield row(
             f"step 4, white furnace at {n}³ voxels",
             "1, as follows",
-            means,
+            list(means),
             "mean radiance",
             "voxels of the plane that hold the ball's foot leak, and its normals are means",
-            max(abs(m - 1) for m in means) < 0.02,
+            abs(means - 1).max() < 0.02,
         )

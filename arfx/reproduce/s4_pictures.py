@@ -78,7 +78,7 @@ def on_the_plane(work: Work) -> Items:
             shot = work.shot(flat_scene(work), settings, 1)
             changed = shot.layer(Layer.IMAGE) - without_planes(shot).layer(Layer.IMAGE)
             changes.append(changed[ring(shot.layer(Layer.COVERAGE))].mean(0))
-    printed, corrected = (float(change @ [1, -1, 0]) for change in red)
+    printed, corrected = (change @ [1, -1, 0] for change in red)
     yield row(
         "step 2, delta volume: red that a red cube gives the plane",
         "V_Δ = V_ρ - V_μ",
@@ -89,7 +89,7 @@ def on_the_plane(work: Work) -> Items:
         " subtracts it",
         printed < 0,
     )
-    printed, corrected = (float(change.mean()) for change in black)
+    printed, corrected = (change.mean() for change in black)
     yield row(
         "step 2, delta volume: what a black cube takes from the plane",
         "the object's shadow is in V_Δ",
@@ -133,17 +133,16 @@ def beside_reference(
         made[REFERENCE] = mirrored_room(clip, best, made[REFERENCE])
     before = best.renderer.original()
     where = touched(*((before, picture) for picture in made.values()))
-    off = [
-        difference(made[REFERENCE], made[name], where).mean
-        for name in (PRINTED, CORRECTED)
-    ]
     yield row(
         item,
         title,
-        off,
+        [
+            difference(made[REFERENCE], made[name], where).mean
+            for name in (PRINTED, CORRECTED)
+        ],
         "grey levels from traced rays, mean where anything changes",
         reason,
-        max(off) < 1,
+        below=1,
     )
     yield Figure(item, title, {BEFORE: before, **made})
 

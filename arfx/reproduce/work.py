@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import psutil
 
 from arfx.config.load import load, merge
 from arfx.config.sections import JobConfig
@@ -178,8 +177,7 @@ class Work:
         if self.short:
             shot = self.shot(clip, settings)
             seconds = {stage: shot.seconds(stage, 1) for stage in shot.stages}
-            held_mb = _held_mb()
-            return Timed(1 / sum(seconds.values()), seconds, held_mb, held_mb)
+            return Timed(1 / sum(seconds.values()), seconds, peak_mb(), peak_mb())
         timed: Timed = self.apart(timed_job, clip.folder, clip.scene.clip.fps, settings)
         return timed
 
@@ -231,7 +229,7 @@ def timed_job(folder: Path, fps: float, settings: Settings) -> Timed:
     """Runs the job of a clip's folder in the process that it is called in. The clip's first
     frames are processed once before, so that nothing is imported, compiled or loaded while
     time is taken. fps : of the clip"""
-    start_mb = _held_mb()
+    start_mb = peak_mb()
     report = dict[str, Any]()
     for more in ({"input": {"end": f"{(WARM_FRAMES - 0.5) / fps}s"}}, {}):
         config = _config(folder, merge(settings, more), folder.parent / "timed.mkv")
@@ -247,11 +245,6 @@ def timed_job(folder: Path, fps: float, settings: Settings) -> Timed:
         s["name"]: s["measured_s"] / frames for s in report["stages"] if s["frames_run"]
     }
     return Timed(frames / seconds, stages, peak_mb(), start_mb)
-
-
-def _held_mb() -> float:
-    """Memory of this process."""
-    return psutil.Process().memory_info().rss / 2**20
 
 
 def _config(folder: Path, settings: Settings, output: Path) -> JobConfig:
