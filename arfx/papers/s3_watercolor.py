@@ -137,6 +137,14 @@ def at_sites(pixels: np.ndarray, sites: Sites, rect: Rect) -> np.ndarray:
     return pixels[y, x]
 
 
+def voronoi(
+    buffer: np.ndarray, rect: Rect, m: int, n: int, key: int
+) -> tuple[Sites, np.ndarray]:
+    """(sites of (1), (h, w) whose cell), by cones as large as a buffer (h, w) is at their sites."""
+    sites = eq1_sites(rect, m, n, key)
+    return sites, cones(sites, at_sites(buffer, sites, rect), rect, m, n)
+
+
 def named_by_colour(
     coded: np.ndarray, labels: np.ndarray, sites: Sites, rect: Rect
 ) -> tuple[np.ndarray, int]:
@@ -207,17 +215,21 @@ class PrintedWatercolor(Watercolor):
 
     def run(self, view: View, prepared: None) -> Mapping[Layer, np.ndarray]:
         p = self.params
-        rect = view.rect
         coded = self.frame(view)
-        m = p.m or max(round(rect.height / p.cell_px), 1)
-        n = p.n or max(round(rect.width / p.cell_px), 1)
-        sites = eq1_sites(rect, m, n, view.key)
-        size = at_sites(depth_buffer(view, p.near_m), sites, rect)
-        labels = cones(sites, size, rect, m, n)
-        number, count = named_by_colour(coded, labels, sites, rect)
-        out = mean_colours(coded, [number], count)[0][number]
+        out = self.cells(view, coded)
         out[eq4_edges(coded, p.alpha, p.beta, p.yuv) > p.line_threshold] = 0
         return {Layer.IMAGE: SRGB.decode(out).astype(np.float32)}
+
+    def cells(self, view: View, coded: np.ndarray) -> np.ndarray:
+        """(h, w, 3) the coded picture in the mean colours of its cells."""
+        p = self.params
+        rect = view.rect
+        m = p.m or max(round(rect.height / p.cell_px), 1)
+        n = p.n or max(round(rect.width / p.cell_px), 1)
+        buffer = depth_buffer(view, p.near_m)
+        sites, labels = voronoi(buffer, rect, m, n, view.key)
+        number, count = named_by_colour(coded, labels, sites, rect)
+        return mean_colours(coded, [number], count)[0][number]
 
     def frame(self, view: View) -> np.ndarray:
         """(h, w, 3) float32 coded: real scene and object, which is toon-shaded."""

@@ -25,7 +25,6 @@ from arfx.reproduce.rows import (
 )
 from arfx.reproduce.s3_scene import FLAT, OBJECTS, Shown, corrected, printed
 from arfx.reproduce.work import Work, median_s
-from arfx.stages.watercolor.cells import mean_colours
 from arfx.stages.watercolor.labels import label
 from arfx.stages.watercolor.lines import ALPHA, BETA
 from arfx.stages.watercolor.sites import make_sites, still_field
@@ -80,10 +79,9 @@ def cell_rows(frame: Shown) -> Items:
     w = rect.width / n
     h = rect.height / m
     cell_px = float(np.sqrt(w * h))
-    sites = paper.eq1_sites(rect, m, n, 1)
+    sites, labels = paper.voronoi(np.ones((rect.height, rect.width)), rect, m, n, 1)
     field = still_field(rect.width, rect.height, cell_px, 64)
     ours = make_sites(field, 1, 10**6, cell_px)
-    labels = paper.cones(sites, np.ones(m * n), rect, m, n)
     own = label(ours, rect).first
     both = ((sites, labels), (ours, own))
 
@@ -159,7 +157,7 @@ def cell_rows(frame: Shown) -> Items:
         "",
         below=0.01,
     )
-    made = frame.painted(frame.ready(printed(frame, **CELLS_ALONE)))
+    made = frame.painted(frame.ready(printed(**CELLS_ALONE)))
     flat = frame.painted(frame.ready(corrected(cell_px=scene.CELL_PX, **FLAT)))
     yield Figure(
         item,
@@ -215,7 +213,7 @@ def depth_rows(frame: Shown, work: Work) -> Items:
 
 def toon_rows(frame: Shown) -> Items:
     """3.2: the listing."""
-    p = printed(frame).params
+    p = printed().params
     c = corrected().params
     cosine = np.linspace(-1, 1, 20001)
     normal = np.stack([np.sqrt(1 - cosine**2), 0 * cosine, cosine], -1).astype(np.float32)
@@ -251,7 +249,7 @@ def toon_rows(frame: Shown) -> Items:
     )
 
     where = np.any(list(frame.objects().values()), axis=0)
-    stages = (printed(frame), corrected())
+    stages = (printed(), corrected())
     smooth, *shares = (
         measure.printed_edges(picture, p)[where].mean()
         for picture in (frame.image, *map(frame.toon_shaded, stages))
@@ -275,7 +273,7 @@ def edge_rows(frame: Shown, work: Work) -> Items:
             item = f"{equation}, {step}"
             unit = "α = β = .5"
             yield row(item, values[k], found, unit, tolerance=2e-4)
-    p = printed(frame).params
+    p = printed().params
     c = corrected().params
     yield _not_stated("matrix from RGB to YUV", p.yuv, "bt601")
     yield _not_stated("equation (2), alpha", p.alpha, ALPHA)
@@ -293,7 +291,7 @@ def edge_rows(frame: Shown, work: Work) -> Items:
     )
 
     item = "figure 5, edges of the frame"
-    toon_shaded = frame.toon_shaded(printed(frame))
+    toon_shaded = frame.toon_shaded(printed())
     edges = measure.printed_edges(toon_shaded, p)
     lines = measure.corrected_lines(frame)
     why = (
@@ -328,14 +326,10 @@ def edge_rows(frame: Shown, work: Work) -> Items:
 
 def picture_rows(frame: Shown) -> Items:
     """3.3."""
-    stage, rect, (m, n) = printed(frame), frame.layers.rect, scene.cells_of(frame)
+    stage = printed()
     view = frame.view(stage)
     coded = stage.frame(view)
-    sites = paper.eq1_sites(rect, m, n, view.key)
-    size = paper.at_sites(paper.depth_buffer(view, stage.params.near_m), sites, rect)
-    labels = paper.cones(sites, size, rect, m, n)
-    names, count = paper.named_by_colour(coded, labels, sites, rect)
-    cells = mean_colours(coded, [names], count)[0][names]
+    cells = stage.cells(view, coded)
     edges = measure.printed_edges(coded, stage.params)
     done = np.where(edges[..., None], 0, cells)
     made = frame.painted(frame.ready(stage))
@@ -400,7 +394,7 @@ def time_rows(frame: Shown, work: Work) -> Items:
         )
     rates = [
         1 / median_s(partial(frame.paint_anew, frame.ready(stage)), work.scaled(5, 1))
-        for stage in (printed(frame), corrected())
+        for stage in (printed(), corrected())
     ]
     rect = frame.layers.rect
     yield row(

@@ -21,7 +21,7 @@ from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage
 from arfx.papers import s3_watercolor as paper
-from arfx.papers.s3_watercolor import PrintedWatercolor, PrintedWatercolorParams
+from arfx.papers.s3_watercolor import PrintedWatercolorParams
 from arfx.reproduce.s3_scene import CELL_PX, Shown, cells_of, corrected, printed
 from arfx.stages.watercolor.cells import mean_colours
 from arfx.stages.watercolor.field import frame_field, nearness_factor
@@ -33,6 +33,8 @@ Settings = Mapping[str, Any]  # of the section watercolor
 NOISE = 2 / 255
 NEAR_M, FAR_M = 0.35, 2.0  # of the plane on which cells are counted
 _SIZE = Rect.of(480, 400)
+# and its rows and columns of cells
+PLANE = _SIZE, _SIZE.height // CELL_PX, _SIZE.width // CELL_PX
 
 
 def edge_of(
@@ -94,7 +96,7 @@ def still_frames(
 ) -> list[list[np.ndarray]]:
     """(h, w, 3) coded frames of a resting, noisy camera, printed and corrected."""
     moments = [shown.noisy(100 + k, NOISE) for k in range(frames)]
-    both = printed(shown, **of_printed), corrected(**of_corrected)
+    both = printed(**of_printed), corrected(**of_corrected)
     return [
         [moment.painted(ready) for moment in moments] for ready in map(shown.ready, both)
     ]
@@ -102,7 +104,7 @@ def still_frames(
 
 def mean_squared(frames: Sequence[np.ndarray]) -> float:
     """Mean squared difference from frame to frame."""
-    return float(np.mean([np.mean((a - b) ** 2) for a, b in itertools.pairwise(frames)]))
+    return float(np.mean(np.diff(frames, axis=0) ** 2))
 
 
 def pan_errors(
@@ -120,26 +122,23 @@ def pan_errors(
     noise = [cv2.GaussianBlur(g.standard_normal(wide), (0, 0), s) * s for s in (4, 7, 12)]
     world = np.clip(0.5 + 0.15 * np.stack(noise, -1) / np.std(noise), 0, 1)
     nodes = still_field(width, height, CELL_PX, 96)
+    origin = nodes.x0, nodes.y0
     errors = []
-    settings = PrintedWatercolorParams(**{"cell_px": CELL_PX, **of_printed})
-    for stage in (PrintedWatercolor(settings), corrected(**of_corrected)):
+    for stage in (printed(**of_printed), corrected(**of_corrected)):
         ready = ReadyStage.of(stage, scene, "standard")
         out = []
         for k in range(frames):
             x = step_px * k
             seen = world[:, x : x + width] + g.normal(0, NOISE, (height, width, 3))
             places = pack_positions(nodes.u + x, nodes.v)
-            origin = (nodes.x0, nodes.y0)
-            shape = nodes.u.shape
-            field = AdvectionField(0, GRID_PX, origin, shape, places)
+            field = AdvectionField(0, GRID_PX, origin, nodes.u.shape, places)
             image = (np.clip(seen, 0, 1) ** 2).astype(np.float32)
             layers = Layers(rect, {Layer.IMAGE: Pixels(rect, image)})
             painted = ready.run(layers, FrameFacts(0, 0.0, advection=field))
-            out.append(np.sqrt(np.asarray(painted[Layer.IMAGE]))[16:-16])
-        before = [one[:, 16 + step_px : -16] for one in out[:-1]]
-        after = [one[:, 16 : -16 - step_px] for one in out[1:]]
-        pairs = zip(before, after, strict=True)
-        errors.append(float(np.mean([np.mean((a - b) ** 2) for a, b in pairs])))
+            out.append(np.sqrt(np.asarray(painted[Layer.IMAGE]))[16:-16, 16:-16])
+        still = np.array(out)
+        apart = still[:-1, :, step_px:] - still[1:, :, :-step_px]
+        errors.append(float(np.mean(apart**2)))
     return errors
 
 
@@ -160,7 +159,7 @@ def areas_on_plane(bands: int, repeats: int) -> tuple[np.ndarray, np.ndarray, np
     areas = np.zeros((2, bands, 2))  # of each formula: pixels, cells
     edges = np.linspace(border, height - border, bands + 1)
     for key in range(repeats):
-        sites, by_depth = plane_cones(depth, key)
+        sites, by_depth = paper.voronoi(depth, *PLANE, key)
         other = make_sites(field, key, 10**6, CELL_PX)
         by_formula = (sites, by_depth), (other, label(other, _SIZE).first)
         for counts, (at, labels) in zip(areas, by_formula, strict=True):
@@ -175,14 +174,6 @@ def areas_on_plane(bands: int, repeats: int) -> tuple[np.ndarray, np.ndarray, np
     return middle, *(areas[..., 0] / areas[..., 1])
 
 
-def plane_cones(depth: np.ndarray, key: int) -> tuple[Sites, np.ndarray]:
-    """Printed sites in a buffer (h, w) of _SIZE, and labels of their cones by it."""
-    m = _SIZE.height // CELL_PX
-    n = _SIZE.width // CELL_PX
-    sites = paper.eq1_sites(_SIZE, m, n, key)
-    return sites, paper.cones(sites, paper.at_sites(depth, sites, _SIZE), _SIZE, m, n)
-
-
 def small_thing(repeats: int) -> list[float]:
     """A disc five cells wide at .25 m before a wall at 2 m: area of its cells over that of
     the wall's; share of it that the wall's cells cover, with cones by depth and with equal
@@ -193,8 +184,8 @@ def small_thing(repeats: int) -> list[float]:
     depth = np.where(disc, 1 - near_m / 0.25, 1 - near_m / 2)
     found = []
     for key in range(repeats):
-        sites, by_depth = plane_cones(depth, key)
-        _, equal = plane_cones(np.ones_like(depth), key)
+        sites, by_depth = paper.voronoi(depth, *PLANE, key)
+        _, equal = paper.voronoi(np.ones_like(depth), *PLANE, key)
         own = paper.at_sites(disc, sites, _SIZE)
         area = np.bincount(by_depth.ravel(), minlength=len(sites))
         lost = (np.mean(~own[labels][disc]) for labels in (by_depth, equal))
@@ -220,10 +211,9 @@ def convex_share(labels: np.ndarray) -> float:
 
 def printed_cells(shown: Shown) -> tuple[np.ndarray, np.ndarray]:
     """(depth buffer, labels) (h, w) of a frame."""
-    stage, rect, (m, n) = printed(shown), shown.layers.rect, cells_of(shown)
+    stage = printed()
     buffer = paper.depth_buffer(shown.view(stage), stage.params.near_m)
-    sites = paper.eq1_sites(rect, m, n, 1)
-    return buffer, paper.cones(sites, paper.at_sites(buffer, sites, rect), rect, m, n)
+    return buffer, paper.voronoi(buffer, shown.layers.rect, *cells_of(shown), 1)[1]
 
 
 def corrected_cells(shown: Shown) -> np.ndarray:

@@ -167,9 +167,8 @@ def cells_of(shown: Shown) -> tuple[int, int]:
     return max(round(rect.height / CELL_PX), 1), max(round(rect.width / CELL_PX), 1)
 
 
-def printed(shown: Shown, **settings: Any) -> PrintedWatercolor:
-    m, n = cells_of(shown)
-    return PrintedWatercolor(PrintedWatercolorParams(**{"m": m, "n": n, **settings}))
+def printed(**settings: Any) -> PrintedWatercolor:
+    return PrintedWatercolor(PrintedWatercolorParams(cell_px=CELL_PX, **settings))
 
 
 def corrected(**settings: Any) -> Watercolor:
