@@ -373,11 +373,11 @@ def equation_9(seeds: int) -> Items:
             "degrees",
             PEAKS,
         )
-    off = zip(*(one_lamp(seed, params) for seed in range(seeds)), strict=True)
+    off = [one_lamp(seed, params) for seed in range(seeds)]
     yield row(
         "equation (9), one lamp with ambient light, median: direction off",
         "0",
-        [np.median([o for o in column if o is not None]) for column in off],
+        list(np.nanmedian(off, 0)),
         "degrees",
         PEAKS,
     )
@@ -415,14 +415,14 @@ def reading(n: np.ndarray, x: np.ndarray | float, variance: float = 1e-6) -> Obs
     )
 
 
-def off_deg(found: Sequence[np.ndarray] | np.ndarray, lamps: np.ndarray) -> float | None:
-    """Largest angle from a found direction to the nearest lamp; None where none is found."""
+def off_deg(found: Sequence[np.ndarray] | np.ndarray, lamps: np.ndarray) -> float:
+    """Largest angle from a found direction to the nearest lamp; NaN where none is found."""
     away = (float(np.degrees(angle_between(d, lamps).min())) for d in found)
-    return max(away, default=None)
+    return max(away, default=np.nan)
 
 
-def one_lamp(seed: int, params: PrintedLightParams) -> tuple[float | None, float | None]:
-    """Degrees off by the printed and the corrected method, None where nothing is claimed: a
+def one_lamp(seed: int, params: PrintedLightParams) -> tuple[float, float]:
+    """Degrees off by the printed and the corrected method, NaN where nothing is claimed: a
     marker turned through 100 normals.
     """
     rng = np.random.default_rng(seed)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import cv2
 import numpy as np
 
@@ -34,30 +32,20 @@ NO_CAMERA = (
     " both balls are real"
 )
 BALLS_M = {"real": ((-0.13, 0.08, 0.04), 0.04), "virtual": ((0.0, 0.0, BALL_M), BALL_M)}
-Pictures = Mapping[str, np.ndarray]  # of the desk: BEFORE, GAUSSIAN, and the usual ones
+Pictures = dict[str, np.ndarray]
 
 
 def rows(work: Work) -> Items:
     scene = desk(work)
     ball, room_model = models(work).values()
     shot = desk_shot(work, work.clip(scene), ball)
-    made = {
-        BEFORE: shot.renderer.image(shot.up_to("composite")),
-        GAUSSIAN: under(shot, "gaussian").picture(),
-        PRINTED: shot.picture(),
-        CORRECTED: under(shot, CORRECTED).picture(),
-        REFERENCE: photograph(work),
-    }
-    photo = {REFERENCE: made[REFERENCE]}
+    made = {**_rendered(shot), REFERENCE: photograph(work)}
     yield from _diagrams()
-    yield row(
-        "figure 4",
-        "photographs with depth of field",
-        (OPEN_LENS, OPEN_LENS),
-        "",
-        NO_CAMERA,
-    )
-    yield Figure("figure 4", "bright points spread over what is dark around them", photo)
+    item = "figure 4"
+    words = "photographs with depth of field"
+    yield row(item, words, (OPEN_LENS, OPEN_LENS), "", NO_CAMERA)
+    title = "bright points spread over what is dark around them"
+    yield Figure(item, title, {REFERENCE: made[REFERENCE]})
     yield from _coordinates(shot, made[BEFORE], np.array(scene.shot[0].path.position_m))
     yield from _steps(shot, made)
     points_m = np.array([ball.position_m for ball in scene.sphere[1:]])
@@ -66,16 +54,19 @@ def rows(work: Work) -> Items:
     yield from _out_of_focus(shot, made)
     # no real thing stands before the model
     bare = scene.model_copy(update={"depth": DepthInput(), "samples": 1})
-    room = desk_shot(work, work.clip(bare), room_model)
     yield Figure(
         "section 4, all-virtual scene",
         "nothing of the footage is left: desk, wall and both balls are a model",
-        {
-            BEFORE: room.renderer.image(room.up_to("composite")),
-            PRINTED: room.picture(),
-            CORRECTED: under(room, CORRECTED).picture(),
-        },
+        _rendered(desk_shot(work, work.clip(bare), room_model)),
     )
+
+
+def _rendered(shot: Shot) -> Pictures:
+    return {
+        BEFORE: shot.renderer.image(shot.up_to("composite")),
+        PRINTED: shot.picture(),
+        CORRECTED: under(shot, CORRECTED).picture(),
+    }
 
 
 def _diagrams() -> Items:
@@ -185,21 +176,17 @@ def _steps(shot: Shot, made: Pictures) -> Items:
         " and its blend keeps the sharp picture below the blurred one; the open lens makes"
         " discs that grow with the distance",
     )
-    yield Figure(
-        "figure 11", "sharp and blurred picture blended by (9)", _without_gaussian(made)
-    )
-
-
-def _without_gaussian(pictures: Pictures) -> Pictures:
-    return {name: picture for name, picture in pictures.items() if name != GAUSSIAN}
+    yield Figure("figure 11", "sharp and blurred picture blended by (9)", made)
 
 
 def _points(shot: Shot, made: Pictures, points_m: np.ndarray) -> Items:
     """Figures 12 and 13: the Gaussian filter and the printed method, beside one another."""
     at = shot.job.scene.camera.project(shot.facts.pose.apply(points_m))
+    gaussian = under(shot, "gaussian").picture()
+    made = {BEFORE: made[BEFORE], GAUSSIAN: gaussian, **made}
     area = {name: _spread(picture, at) for name, picture in made.items()}
     words = {name: f"bright points of {px:.0f} px each" for name, px in area.items()}
-    apart = _levels(made[GAUSSIAN], made[REFERENCE])
+    apart = _levels(gaussian, made[REFERENCE])
     yield row(
         "figure 12",
         "Gaussian filter",
@@ -213,7 +200,7 @@ def _points(shot: Shot, made: Pictures, points_m: np.ndarray) -> Items:
         "the Gaussian filter that the paper compares itself with",
         {
             BEFORE: made[BEFORE],
-            "by dof.formula = gaussian": made[GAUSSIAN],
+            "by dof.formula = gaussian": gaussian,
             REFERENCE: made[REFERENCE],
         },
     )
@@ -275,9 +262,7 @@ def _out_of_focus(shot: Shot, made: Pictures) -> Items:
     )
     y, x = np.array(made[BEFORE].shape[:2])[:, None] * [[0.4, 0.85], [0.1, 0.7]]
     part = tuple(slice(*of.astype(int)) for of in (y, x))
-    near = {
-        name: np.ascontiguousarray(p[part]) for name, p in _without_gaussian(made).items()
-    }
+    near = {name: np.ascontiguousarray(picture[part]) for name, picture in made.items()}
     yield Figure(
         "figure 15",
         "the same out of focus (the virtual ball has a faint sheen, which the real one"
