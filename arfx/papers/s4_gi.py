@@ -250,7 +250,8 @@ def real_surfels(
 
 def virtual_surfels(view: View, within: Rect) -> tuple[Rows, Surfels]:
     """The same of the object's pixels."""
-    rows = np.nonzero(object_mask(view, within))
+    row, column = np.nonzero(object_mask(view, within))
+    rows = row, column
     position, normal, towards = object_points(view, rows)
     return rows, Surfels(position, normal, -towards)
 

@@ -46,7 +46,9 @@ def texel_rays(volume: Volume, direction: np.ndarray) -> np.ndarray:
     u = normalise(np.cross(direction, aside))
     v = np.cross(direction, u)
     a = ((np.arange(side) + 0.5) / side * 2 - 1)[:, None] * half
-    middle = volume.low_m + volume.n * volume.voxel_m / 2 + 2 * half * direction
+    middle = (
+        np.asarray(volume.low_m) + volume.n * volume.voxel_m / 2 + 2 * half * direction
+    )
     return (middle + (a[:, None] * v + a * u)).reshape(-1, 3)
 
 

@@ -62,9 +62,9 @@ class Volumes(NamedTuple):
         at = np.minimum(np.searchsorted(self.codes, code), len(self.codes) - 1)
         return np.where(inside & (self.codes[at] == code), at, -1)
 
-    def filtered(self, leaves: np.ndarray, stored: bool = False) -> np.ndarray:
+    def filtered(self, leaves: np.ndarray) -> np.ndarray:
         """As `step2_mean`."""
-        return step2_mean(leaves, self.starts, stored)
+        return step2_mean(leaves, self.starts)
 
     def rows_of(self, level: int) -> slice:
         """Nodes of a level, 0 = lowest, in the order of their codes."""
@@ -88,7 +88,7 @@ def step2_mean(
     one voxel thick 1 - 2^-L of the light leaks at level L. stored : the mean of those children that
     are there: no light leaks, but every surface grows with the level
     starts : of `Volumes`"""
-    levels = [leaves.astype(np.float32)]
+    levels: list[np.ndarray] = [leaves.astype(np.float32)]
     for start in starts:
         below = levels[-1]
         children = np.diff(start, append=len(below))[:, None] if stored else 8
@@ -129,7 +129,7 @@ def octree_of(
     code = morton(cells)
     order = np.argsort(code)
     codes = [code[order]]
-    starts = []
+    starts: list[np.ndarray] = []
     masks = []
     while len(starts) < int(np.log2(volume.n)):
         above, start = np.unique(codes[-1] >> 3, return_index=True)

@@ -66,9 +66,9 @@ def voxelise(volume: Volume, *scenes: Scene) -> Voxels:
                 corners, normals[faces], cuts, area, np.float32(part.opacity), sums
             )
     zyx = np.nonzero(sums[..., 0])
-    area, *rest = sums[zyx].astype(float).T
-    mean = divide(rest, area)
-    opacity = np.minimum(FULL * area, 1) * np.clip(mean[3], 0, 1)
+    held = sums[zyx].astype(float).T
+    mean = divide(held[1:], held[0])
+    opacity = np.minimum(FULL * held[0], 1) * np.clip(mean[3], 0, 1)
     normal = normalise(mean[:3].T)
     return Voxels(
         np.stack(zyx[::-1], -1), normal.astype(np.float32), opacity.astype(np.float32)

@@ -67,10 +67,10 @@ def half_digit(printed: str) -> float:
 def row(
     item: str,
     printed: Value,
-    values: Value | Sequence[Value],
+    values: Any,
     unit: str = "",
     reason: str = "",
-    holds: bool | None = None,
+    holds: Any = None,
     tolerance: float | None = None,
     below: float | None = None,
 ) -> Row:
@@ -83,7 +83,7 @@ def row(
     that are the same, or, for a number as it stands there, "58.7", what rounds to its digits
     tolerance : in place of half its last digit;  below : it was found where all values are
     """
-    pair = values if isinstance(values, (tuple, list)) else (values, None)
+    pair = values if np.ndim(values) else (values, None)
     of_paper, corrected = (
         v.item() if isinstance(v, (np.generic, np.ndarray)) else v for v in pair
     )

@@ -100,15 +100,9 @@ def model_file(work: Work, name: str) -> Settings:
     return {"model": {"file": work.model(name)}, "analyse": {"static": "camera"}}
 
 
-def facts_light(shot: Shot) -> Light:
-    light = shot.facts.light
-    assert light is not None  # every frame with a pose has one
-    return light
-
-
 def equation_3(situation: Situation) -> Items:
     """I(v) = g rho_v M(n_v) + b, on the picture's own layers; highlights are beside (3)."""
-    off: list[float] = []
+    off = []
     settings = {"lightmap": {**NO_SHADOW["lightmap"], "plane_blocks": False}}
     for formula in METHODS:
         shot = situation.shot(formula, settings)
@@ -116,12 +110,12 @@ def equation_3(situation: Situation) -> Items:
         n, rho, virtual = (
             shot.layer(name)[on] for name in (Layer.NORMAL, Layer.ALBEDO, Layer.VIRTUAL)
         )
-        M = facts_light(shot).radiance(n)
+        M = shot.light.radiance(n)
         if (found := printed_map(shot.facts.light_map)) is not None:
             M = look_up(found[0], n @ found[1].T)
         expected = rho * M + np.array(shot.facts.bias_rgb)
         apart = np.median(np.abs(virtual - expected))
-        off.append(100 * float(apart / np.median(expected)))
+        off.append(100 * apart / np.median(expected))
     yield row(
         "equation (3), difference of the object's pixels, highlights included, median",
         "I = g ρ M(n) + b",
@@ -141,8 +135,8 @@ def figure_1(situation: Situation) -> Items:
     lamp = situation.lamp_in_world(printed)
     true = Light(AMBIENT, (DirectionalLight(triple(lamp), situation.lamp.rgb),))
     light = {
-        PRINTED: facts_light(printed),
-        CORRECTED: facts_light(corrected),
+        PRINTED: printed.light,
+        CORRECTED: corrected.light,
         REFERENCE: true,
     }
     yield row(
@@ -159,7 +153,7 @@ def figure_1(situation: Situation) -> Items:
     yield row(
         "section 4, direction of the lamp: degrees off",
         "accurate",
-        [float(np.degrees(angle_between(unit, lamp))) for unit in brightest],
+        [np.degrees(angle_between(unit, lamp)) for unit in brightest],
         "degrees",
         s1_equations.PEAKS,
         below=NEAR_DEG,
@@ -229,7 +223,7 @@ def pictures(
     before = situation.clip.frames()[situation.last]
     on = np.max([level_difference(own, before) for own in made.values()], 0) > 2
     off = [
-        float(level_difference(made[REFERENCE], made[name])[on].mean())
+        level_difference(made[REFERENCE], made[name])[on].mean()
         for name in (PRINTED, CORRECTED)
     ]
     unit = "grey levels from the reference"

@@ -265,7 +265,7 @@ def equation_7() -> Items:
     yield row(
         "equation (7), constant light after 1,000 updates",
         "1",
-        list(seen(np.full(1000, 0.7))[-1] / 0.7),
+        seen(np.full(1000, 0.7))[-1] / 0.7,
         "of the light",
         tolerance=1e-6,
     )
@@ -273,7 +273,7 @@ def equation_7() -> Items:
     yield row(
         "equation (7), noise of one normal that is left",
         "M ← (1 − f) M + f x",
-        list(100 * np.std(noisy[50:], axis=0) / NOISE),
+        100 * np.std(noisy[50:], axis=0) / NOISE,
         "%",
         "f = 1 at the normal itself: the newest reading replaces all older ones. Corrected:"
         " an update by precision",
@@ -377,7 +377,7 @@ def equation_9(seeds: int) -> Items:
     yield row(
         "equation (9), one lamp with ambient light, median: direction off",
         "0",
-        list(np.nanmedian(off, 0)),
+        np.nanmedian(off, 0),
         "degrees",
         PEAKS,
     )

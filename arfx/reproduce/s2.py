@@ -99,7 +99,7 @@ def _limits() -> Items:
             yield row(
                 f"equation {name}{of}, circle (3) at this limit",
                 f"{C}",
-                list(circle_of_confusion_mm(places, lens)),
+                circle_of_confusion_mm(places, lens),
                 "mm",
                 why,
                 tolerance=1e-9,
@@ -168,7 +168,7 @@ def _example() -> Items:
         ("sharp from", "2.4413", (L - fronts) / 1e3, "m"),
         ("sharp to", "2.5616", (L + backs) / 1e3, "m"),
     ):
-        yield row(of + name, value, list(found), unit, L_LESS_F)
+        yield row(of + name, value, found, unit, L_LESS_F)
     yield row(
         f"{of}depth of field of the composited scene",
         "126.746",

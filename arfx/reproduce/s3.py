@@ -225,7 +225,7 @@ def toon_rows(frame: Shown) -> Items:
     )
     low, high = zip(*(_thresholds(kind, cosine) for kind in kinds), strict=True)
     why = "the line with the first `if` is missing"
-    yield _not_stated("toon listing, first threshold", *high, why)
+    yield _not_stated("toon listing, first threshold", high[0], high[1], why)
     yield row("toon listing, second threshold", "0.2", low, "n · l")
     for name, text, at in (
         ("first", "1", 1.0),
@@ -308,9 +308,9 @@ def edge_rows(frame: Shown, work: Work) -> Items:
                 "what stands before nearly its own colour is below the thresholds; corrected,"
                 " a line that is nowhere strong fades"
             )
-        found = [measure.share_near(where, seen) for seen in strong]
+        near = [measure.share_near(where, seen) for seen in strong]
         unit = "share of it with an edge within 2 px"
-        yield row(f"{item}, {name}", "found", found, unit, why, min(found) > 0.95)
+        yield row(f"{item}, {name}", "found", near, unit, why, min(near) > 0.95)
     black = [seen.mean() for seen in strong]
     words = "outlines of virtual and real things"
     unit = "share of the frame's pixels"

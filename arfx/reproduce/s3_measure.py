@@ -152,8 +152,8 @@ def areas_on_plane(bands: int, repeats: int) -> tuple[np.ndarray, np.ndarray, np
     depth = np.tile((1 - near_m * dioptre)[:, None], width)
     border = 3 * CELL_PX  # cells there are cut off
     field = still_field(width, height, CELL_PX, border)
-    y = field.y0 + GRID_PX * np.arange(len(field.u))
-    near = np.interp(y, np.arange(height), dioptre) / dioptre.mean()
+    nodes_y = field.y0 + GRID_PX * np.arange(len(field.u))
+    near = np.interp(nodes_y, np.arange(height), dioptre) / dioptre.mean()
     strength = corrected().params.nearer_finer
     field = replace(field, size=field.size * nearness_factor(near[:, None], strength))
     areas = np.zeros((2, bands, 2))  # of each formula: pixels, cells

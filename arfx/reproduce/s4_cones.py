@@ -98,7 +98,7 @@ def step_length() -> Items:
     yield row(
         "step 4, opacity of half a step where α = 0.5",
         "two of them make one step, as follows",
-        list(1 - half[:, 3]),
+        1 - half[:, 3],
         "",
         "two make another",
         abs(half[:, 3] ** 2 - 0.5).max() < 1e-6,
@@ -106,7 +106,7 @@ def step_length() -> Items:
     yield row(
         "step 4, opacity of two half steps where α = 0.5",
         "that of one step, as follows",
-        list(1 - two[:, 3]),
+        1 - two[:, 3],
         "",
         "another",
         abs(two[:, 3] - 0.5).max() < 1e-6,
@@ -115,7 +115,7 @@ def step_length() -> Items:
     yield row(
         "step 4, light of a voxel that is passed in four steps, over one step",
         "not stated",
-        list(brighter),
+        brighter,
         "",
         "radiance counts whole at every step; corrected: in proportion to the step's"
         " opacity",
@@ -144,7 +144,7 @@ def furnace(work: Work) -> Items:
         yield row(
             f"step 4, white furnace at {n}³ voxels",
             "1, as follows",
-            list(means),
+            means,
             "mean radiance",
             "voxels of the plane that hold the ball's foot leak, and its normals are means",
             abs(means - 1).max() < 0.02,

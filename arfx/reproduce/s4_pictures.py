@@ -26,7 +26,7 @@ from arfx.reproduce.rows import (
 )
 from arfx.reproduce.s4_mirror import mirrored_room
 from arfx.reproduce.s4_scenes import LAMP, flat_scene, methods, room
-from arfx.reproduce.work import Shot, Work
+from arfx.reproduce.work import Settings, Shot, Work
 
 
 def pictures(work: Work) -> Items:
@@ -71,13 +71,16 @@ def on_the_plane(work: Work) -> Items:
     """What indirect light alone changes of a grey plane beside a cube: linear light, mean
     of the pixels around the cube.
     """
-    red = []
-    black = []
-    for model, changes in (("black-cube", black), ("red-cube", red)):
-        for settings in methods(work, model, "8cm", plane_gloss=0.0).values():
-            shot = work.shot(flat_scene(work), settings, 1)
-            changed = shot.layer(Layer.IMAGE) - without_planes(shot).layer(Layer.IMAGE)
-            changes.append(changed[ring(shot.layer(Layer.COVERAGE))].mean(0))
+
+    def change(settings: Settings) -> np.ndarray:
+        shot = work.shot(flat_scene(work), settings, 1)
+        changed = shot.layer(Layer.IMAGE) - without_planes(shot).layer(Layer.IMAGE)
+        return np.asarray(changed[ring(shot.layer(Layer.COVERAGE))].mean(0))
+
+    red, black = (
+        [*map(change, methods(work, model, "8cm", plane_gloss=0.0).values())]
+        for model in ("red-cube", "black-cube")
+    )
     printed, corrected = (change @ [1, -1, 0] for change in red)
     yield row(
         "step 2, delta volume: red that a red cube gives the plane",

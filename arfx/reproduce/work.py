@@ -19,6 +19,7 @@ from arfx.config.sections import JobConfig
 from arfx.core import interrupt
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
+from arfx.core.light import Light
 from arfx.core.stage import Stage
 from arfx.core.waiting import Notice, Progress
 from arfx.errors import RenderError
@@ -88,6 +89,10 @@ class Shot(NamedTuple):
     @property
     def facts(self) -> FrameFacts:
         return self.renderer.facts
+
+    @property
+    def light(self) -> Light:
+        return self.job.scene.light_of(self.facts)
 
     @property
     def stages(self) -> dict[str, Stage]:
