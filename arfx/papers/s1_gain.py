@@ -79,9 +79,11 @@ def eq6_smallest_vector(
     frames = len(grey)
     null = NULL
     if frames <= dense:
-        x = r[:, :, None] * np.eye(frames)[:, None]
-        rows = np.concatenate([np.stack([-grey, m], -1), x], -1).reshape(grey.size, -1)
-        rows = np.pad(rows, ((0, max(frames + 2 - grey.size, 0)), (0, 0)))
+        rows = np.zeros((max(grey.size, frames + 2), frames + 2))
+        k = np.arange(grey.size)
+        rows[k, 0] = -grey.ravel()
+        rows[k, 1] = m.ravel()
+        rows[k, 2 + k // r.shape[1]] = r.ravel()
         _, s, vt = np.linalg.svd(rows, full_matrices=False)
         v = vt[-1]
     else:

@@ -152,9 +152,11 @@ def octree_of(
 def morton(cells: np.ndarray) -> np.ndarray:
     """(n,) codes of cells (n, 3) x, y, z: their bits interleaved, those of z first, so that >> 3 is
     the parent's."""
-    bits = np.arange(10)
-    each = (cells[..., None] >> bits & 1) << (3 * bits + np.arange(3)[:, None])
-    return each.sum((1, 2))
+    out = np.zeros(len(cells), np.int64)
+    for bit in range(10):
+        for axis in range(3):
+            out |= (cells[:, axis] >> bit & 1) << (3 * bit + axis)
+    return out
 
 
 @kernel()
