@@ -10,7 +10,8 @@ from collections.abc import Mapping
 
 from arfx.stages import Classes
 
-CORRECTED, PAPER = "corrected", "paper"
+CORRECTED = "corrected"
+PAPER = "paper"
 
 # formula -> section -> class; a section that is not named has the corrected one alone
 FORMULAS: Mapping[str, Classes] = {

@@ -16,7 +16,7 @@ same. Its errors: docs/methods/light.md#errata."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,8 +35,7 @@ LEAST_GAP = 3.0  # of the two smallest singular values: less is nullity 2 beside
 NULL = 1e-10
 
 
-@dataclass(frozen=True, eq=False)
-class SmallestVector:
+class SmallestVector(NamedTuple):
     """gain, bias : of the solution, g = 1/g' (free scale: the vector has length 1, g' > 0)
 
     bias : b'/g', in units of grey (what dividing (2) by g gives);  bias_printed : 1/b' (as printed)
@@ -76,30 +75,25 @@ def eq6_smallest_vector(
     seen = valid.any(1)
     if not seen.any():
         raise ValueError("no finite intensity")
-    grey, r, m = (
-        np.where(valid, value, 0)[seen],
-        np.where(valid, rho, 0)[seen],
-        valid[seen].astype(float),
-    )
+    grey, r, m = (np.where(valid, a, 0)[seen] for a in (value, rho, 1.0))
     frames = len(grey)
+    null = NULL
     if frames <= dense:
-        rows = np.zeros((grey.size, frames + 2))
-        rows[:, 0], rows[:, 1] = -grey.ravel(), m.ravel()
-        rows[np.arange(grey.size), 2 + np.repeat(np.arange(frames), grey.shape[1])] = (
-            r.ravel()
-        )
-        _, s, vt = np.linalg.svd(rows, full_matrices=len(rows) < frames + 2)
-        s = np.append(s, np.zeros(max(frames + 2 - len(s), 0)))
-        v, smallest, null = vt[-1], float(s[-1]), NULL
+        rows = np.zeros((max(grey.size, frames + 2), frames + 2))
+        k = np.arange(grey.size)
+        rows[k, 0] = -grey.ravel()
+        rows[k, 1] = m.ravel()
+        rows[k, 2 + k // r.shape[1]] = r.ravel()
+        _, s, vt = np.linalg.svd(rows, full_matrices=False)
+        v = vt[-1]
     else:
         v, s = _sparse(grey, r, m)
-        smallest, null = float(s[-1]), 1e3 * NULL
+        null *= 1e3
     nullity = int((s <= null * s[0]).sum())
     v = v * (np.sign(v[0]) or 1.0)
     y = np.zeros(len(value))
     y[seen] = divide(v[2:], v[0])
-    others = s[:-1]
-    condition = min(float(divide(others[0], others[-1], where_zero=1e12)), 1e12)
+    condition, gap = divide(s[[0, -2]], s[[-2, -1]], where_zero=1e12)
     return SmallestVector(
         float(divide(1, v[0])),
         float(divide(v[1], v[0])),
@@ -107,9 +101,9 @@ def eq6_smallest_vector(
         y,
         nullity,
         frames + 2 - nullity,
-        smallest,
-        condition,
-        min(float(divide(others[-1], smallest, where_zero=1e12)), 1e12),
+        float(s[-1]),
+        min(float(condition), 1e12),
+        min(float(gap), 1e12),
     )
 
 
@@ -117,13 +111,10 @@ def brightness(intensity: np.ndarray) -> np.ndarray:
     """(p,) rho of (2) as printed: each patch's mean brightness in one picture by the same
     camera, the first that shows all of the print; of the patches that it lacks NaN.
     intensity : (t, p, 3), NaN = not measured"""
-    value = np.asarray(intensity, float)
-    shown = np.isfinite(value).all(-1)
-    return (
-        value[int(shown.sum(1).argmax())].mean(-1)
-        if len(value)
-        else np.full(value.shape[1], np.nan)
-    )
+    if not len(intensity):
+        return np.full(intensity.shape[1], np.nan)
+    shown = np.isfinite(intensity).all(-1).sum(1)
+    return np.asarray(intensity[shown.argmax()].mean(-1), float)
 
 
 def gain_and_bias(
@@ -141,33 +132,27 @@ def gain_and_bias(
         seen = weight.any(1)
         part = bright_patches(grey, weight, rho, UNUSABLE, 0)
         if seen.any():
-            solution = eq6_smallest_vector(np.where(weight > 0, grey, np.nan), rho)
-            one = solution.nullity < 2
-            why = (
-                "only noise singles out the solution"
-                if one
-                else f"the system has nullity {solution.nullity}, not 1"
-            )
-            part = part._replace(
-                why=why, rank=solution.rank, condition=solution.condition
-            )
+            found = eq6_smallest_vector(np.where(weight > 0, grey, np.nan), rho)
+            why = f"the system has nullity {found.nullity}, not 1"
+            if found.nullity < 2:
+                why = "only noise singles out the solution"
             # g' = 0: b' and x alone, of one albedo
-            blank = solution.gain == 0 or abs(solution.gain) > 1e8 * np.abs(grey).max()
-            if one and not blank and solution.gap > LEAST_GAP:
-                b = solution.bias_printed if printed_bias else solution.bias
-                residual = (grey - rho * solution.y[:, None] - solution.bias) * weight
-                spread = float(
-                    (residual**2).sum() / max(weight.sum() - seen.sum() - 1, 1)
-                )
+            blank = found.gain == 0 or abs(found.gain) > 1e8 * np.abs(grey).max()
+            if found.nullity < 2 and not blank and found.gap > LEAST_GAP:
+                b = found.bias_printed if printed_bias else found.bias
+                residual = (grey - rho * found.y[:, None] - found.bias) * weight
+                spare = max(weight.sum() - seen.sum() - 1, 1)
+                spread = float((residual**2).sum() / spare)
                 own = divide(spread, (weight * rho * rho).sum(1))
                 part = part._replace(
-                    y=solution.y,
+                    y=found.y,
                     var_y_own=np.where(seen, own, part.var_y_own),
                     bias=b,
                     bias_95=(b, b),
-                    why="",
                     misfit=float(np.sqrt(spread)),
                 )
+                why = ""
+            part = part._replace(why=why, rank=found.rank, condition=found.condition)
         parts.append(part._replace(unknowns=int(seen.sum()) + 2))
     return assemble(parts, clipped, ignored)
 

@@ -18,11 +18,9 @@ read, are left to the corrected method. Its errors: docs/methods/light.md#errata
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
-from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -93,15 +91,11 @@ class PrintedLightParams(LightParams):
     def without_effect(self) -> list[str]:
         """Names of the settings that were set and change nothing here."""
         unused = (*UNUSED, *(("ink", "paper") if self.albedos == BRIGHTNESS else ()))
-        return [
-            name
-            for name in unused
-            if getattr(self, name) != type(self).model_fields[name].default
-        ]
+        changed = self.model_dump(exclude_defaults=True)
+        return [name for name in unused if name in changed]
 
 
-@dataclass(frozen=True, eq=False)
-class Observation:
+class Observation(NamedTuple):
     """The readings of one frame.
 
     normals : (k, 3) unit;  irradiance, variance : (k, 3); what is not finite is left out.
@@ -114,7 +108,9 @@ class Observation:
     @property
     def usable(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """(unit normal, irradiance) of the readings that are finite and known."""
-        n, x, v = normalise(self.normals), self.irradiance, self.variance
+        n = normalise(self.normals)
+        x = self.irradiance
+        v = self.variance
         fine = n.any(1) & (np.isfinite(x) & (v >= 0) & (v < UNKNOWN_VARIANCE)).all(1)
         return zip(n[fine], x[fine], strict=True)
 
@@ -198,18 +194,15 @@ def eq9_lights(
     M : (k, 3) or (k,) values at the directions n (k, 3);  I_c : of the channels' mean
     A light stands where M is at least I_c and brighter than in every other direction closer
     than epsilon_deg. Of equal values the one nearest to z counts as the brighter."""
-    I_n = np.asarray(M, float)
-    I_n = I_n.mean(-1) if I_n.ndim == 2 else I_n
-    order = np.lexsort(
-        (-n[:, 2], -np.round(divide(I_n, np.abs(I_n).max(initial=0)), _EQUAL))
-    )
-    rank, free = np.empty(len(n), int), (I_n >= I_c) & (I_n > 0)
-    rank[order] = np.arange(len(n))
+    I_n = M.mean(-1) if M.ndim == 2 else M
+    equal = np.round(divide(I_n, np.abs(I_n).max(initial=0)), _EQUAL)
+    order = np.lexsort((-n[:, 2], -equal))
+    rank = np.argsort(order)
+    free = (I_n >= I_c) & (I_n > 0)
     lights = []
     for i in order:
-        if free[
-            i
-        ]:  # not yet close to a brighter one: few are, and only theirs are compared with all
+        if free[i]:
+            # not yet close to a brighter one: few are, and only theirs are compared with all
             near = n @ n[i] > np.cos(np.radians(epsilon_deg))
             if rank[near].min(initial=rank[i]) == rank[i]:
                 lights.append(i)
@@ -226,34 +219,35 @@ def lights_of(
     The hemisphere's axis is the mean of all normals."""
     turn = upright(normalise(np.concatenate([o.normals for o in seen]).sum(0)))
     map_ = LightMap(params.map_level, params.map_blur_rad)
-    out, cubes = [], []
+    out = []
+    cubes = []
     beyond = np.zeros(3)
     for o in seen:
         readings = [(turn @ n, x) for n, x in o.usable]
         for n, x in readings:
             map_.add(n, x)
         M = map_.of_middles
-        I_c = params.least_light or params.peak * float(M.mean(1).max())
+        I_c = params.least_light or params.peak * M.mean(1).max()
         peaks = eq9_lights(M, map_.middles, I_c, params.peak_apart_deg)
-        towards, rgb = map_.middles[peaks], np.clip(M[peaks], 0, None)
+        towards = map_.middles[peaks]
+        rgb = np.clip(M[peaks], 0, None)
         if readings:
-            beyond = np.mean(
-                [x - np.clip(towards @ n, 0, None) @ rgb for n, x in readings], 0
-            )
+            left = [x - np.clip(towards @ n, 0, None) @ rgb for n, x in readings]
+            beyond = np.clip(np.mean(left, 0), 0, None)
         lights = tuple(
             DirectionalLight(triple(turn.T @ d), triple(c), 0.0)
             for d, c in zip(towards, rgb, strict=True)
         )
-        out.append(Light(triple(np.clip(beyond, 0, None)), lights, "marker"))
+        out.append(Light(triple(beyond), lights, "marker"))
         cubes.append(map_.cube)
     return out, cubes, turn
 
 
 class PrintedStaticFrameLight(StaticFrameLight):
-    """maps : M by frame, WORLD axes; none where the light is given"""
+    """maps : where M of each frame is put, WORLD axes; none where the light is given"""
 
     params: PrintedLightParams
-    maps: Mapping[int, CubeMap] = MappingProxyType({})
+    maps: dict[int, CubeMap]
 
     def from_markers(
         self, rests: bool, samples: Sequence[EnvironmentSample]
@@ -262,23 +256,21 @@ class PrintedStaticFrameLight(StaticFrameLight):
         if not self.lit:
             return super().from_markers(rests, samples)
         ends = np.searchsorted(self.numbers, self.lit)[1:]
-        y, variance = self.reading.y, self.reading.variance
-        rows = (np.split(a, ends) for a in (self.normals, y, variance))
-        seen = [Observation(*of_frame) for of_frame in zip(*rows, strict=True)]
-        solution, cubes, turn = lights_of(seen, self.params)
+        rows = self.normals, self.reading.y, self.reading.variance
+        seen = map(Observation, *(np.split(a, ends) for a in rows))
+        solution, cubes, turn = lights_of([*seen], self.params)
         last = np.clip(np.searchsorted(self.lit, self.frames, side="right") - 1, 0, None)
-        self.maps = {
-            k: CubeMap.of(cubes[i], turn @ self.static_from_world[k])
-            for k, i in zip(self.frames, last, strict=True)
-        }
+        lights = {}
+        for k, i in zip(self.frames, last, strict=True):
+            lights[k] = solution[i]
+            self.maps[k] = CubeMap.of(cubes[i], turn @ self.static_from_world[k])
         middle = solution[len(solution) // 2]
+        count = len(middle.lights)
         peaks = (
-            f"{len(middle.lights)} peak{'s' * (len(middle.lights) != 1)} of the light map,"
+            f"{count} peak{'s' * (count != 1)} of the light map,"
             " as printed: no confidence is known"
         )
-        verdict = MEASURED if middle.lights else REFUSED
-        lights = {k: solution[i] for k, i in zip(self.frames, last, strict=True)}
-        return lights, self.report(verdict, peaks, middle)
+        return lights, self.report(MEASURED if count else REFUSED, peaks, middle)
 
 
 class PrintedLight:
@@ -296,47 +288,29 @@ class PrintedLight:
     ) -> Analysis:
         """The clip with `light`, `bias_rgb` and `light_map`, as printed. Arguments as of
         frames.with_light"""
-        parts: list[PrintedStaticFrameLight] = []
+        maps: dict[int, CubeMap] = {}
 
         def printed_part(*of: Any) -> StaticFrameLight:
-            parts.append(PrintedStaticFrameLight(*of))
-            return parts[-1]
+            part = PrintedStaticFrameLight(*of)
+            part.maps = maps
+            return part
 
         def solve(
             grey: np.ndarray,
             _: np.ndarray,
             clipped: np.ndarray,
             rho: np.ndarray,
-            _most_bias: np.ndarray | None,
-            _print: np.ndarray,
+            *more: Any,
         ) -> tuple[Photometry, None]:
-            if (
-                params.albedos == BRIGHTNESS and (rho == rho[:1, :, :1]).all()
-            ):  # one kind of print, without colour
+            # one kind of print, without colour
+            if params.albedos == BRIGHTNESS and (rho == rho[:1, :, :1]).all():
                 rho = brightness(grey)
-            return (
-                gain_and_bias(grey, rho, clipped, params.printed_bias),
-                None,
-            )
+            return gain_and_bias(grey, rho, clipped, params.printed_bias), None
 
-        clip = with_light(
-            clip,
-            readings,
-            samples,
-            params,
-            panorama,
-            solve,
-            printed_part,
-        )
-        maps = {k: cube for part in parts for k, cube in part.maps.items()}
+        clip = with_light(clip, readings, samples, params, panorama, solve, printed_part)
         unused = ", ".join(params.without_effect)
         notice = (
             f'light: {unused} without effect under formula = "paper"' if unused else None
         )
-        return clip.adding(
-            (
-                f.with_(light_map=maps[k]) if k in maps else f
-                for k, f in enumerate(clip.facts)
-            ),
-            notice,
-        )
+        facts = (f.with_(light_map=maps.get(k)) for k, f in enumerate(clip.facts))
+        return clip.adding(facts, notice)

@@ -30,7 +30,8 @@ from arfx.stages.lightmap import Lightmap
 from arfx.stages.lightmap.shading import Surface
 from arfx.stages.lightmap.stage import LightmapParams
 
-LEAST_ROUGHNESS, SHARPEST = 0.05, 500.0
+LEAST_ROUGHNESS = 0.05
+SHARPEST = 500.0
 
 
 class PrintedLightmapParams(LightmapParams):
@@ -42,9 +43,7 @@ def printed_map(light_map_: CubeMap | None) -> tuple[np.ndarray, np.ndarray] | N
     if light_map_ is None:
         return None
     cube = light_map_.faces().astype(np.float32)
-    axes = (
-        np.eye(3) if light_map_.axes is None else np.array(light_map_.axes).reshape(3, 3)
-    )
+    axes = np.reshape(np.eye(3) if light_map_.axes is None else light_map_.axes, (3, 3))
     if cube.shape[1] < 2 or not np.isfinite(cube).all() or not np.isfinite(axes).all():
         raise RenderError(
             "facts: the light map needs faces of finite numbers, 2 x 2 or more"
@@ -61,10 +60,8 @@ def phong(
     n_d = n @ d
     r_v = np.maximum(2 * n_d * (n * v).sum(-1) - v @ d, 1e-8)
     # a lobe about the mirrored direction is four times as wide as one about the half-vector
-    shine = np.clip(
-        (2 / np.maximum(roughness, LEAST_ROUGHNESS) ** 4 - 2) / 4, 1, SHARPEST
-    )
-    return np.where(n_d > 0, r_v**shine, 0)
+    width = np.maximum(roughness, LEAST_ROUGHNESS) ** 4
+    return np.where(n_d > 0, r_v ** np.clip((2 / width - 2) / 4, 1, SHARPEST), 0)
 
 
 class PrintedLightmap(Lightmap):
@@ -87,46 +84,31 @@ class PrintedLightmap(Lightmap):
         not hidden.
         """
         covered = surface.coverage > 0
-        n, rho_v, position, glow, material = (
-            a[covered]
-            for a in (
-                surface.normal,
-                surface.albedo,
-                surface.position,
-                surface.emissive,
-                surface.material,
-            )
+        n, rho_v, material = (
+            a[covered] for a in (surface.normal, surface.albedo, surface.material)
         )
-        metal, roughness, specular = (
-            material[:, 0, None],
-            material[:, 1],
-            material[:, 2, None],
-        )
+        metal, roughness, specular = np.split(material[:, :3], 3, 1)
         mirrored = 0.08 * specular * (1 - metal) + rho_v * metal
         eye = view.pose.inverse().translation_m
-        rho_v, v = rho_v * (1 - metal), normalise(eye - position)
-        even = (
-            np.clip(harmonics(n) @ light.soft, 0, None)
-            if len(light.soft)
-            else np.broadcast_to(light.ambient, n.shape)
-        )
-        received, highlight = even * self.soft, np.zeros(n.shape)
+        v = normalise(eye - surface.position[covered])
+        even = np.broadcast_to(light.ambient, n.shape)
+        if len(light.soft):
+            even = np.clip(harmonics(n) @ light.soft, 0, None)
+        received = even * self.soft
+        highlight = np.zeros(n.shape)
         for k, visible in zip(reaching, visibility, strict=True):
-            d, arrives = (
-                light.towards[k],
-                light.rgb[k] * light.on_object[k] * visible[covered][:, None],
-            )
+            d = light.towards[k]
+            arrives = light.rgb[k] * light.on_object[k] * visible[covered][:, None]
             received = received + arrives * np.maximum(n @ d, 0)[:, None]
-            highlight += arrives * phong(n, v, d, roughness)[:, None]
+            highlight += arrives * phong(n, v, d, roughness[:, 0])[:, None]
         light_map_ = printed_map(view.facts.light_map)
         if light_map_ is not None:
             cube, map_from_world = light_map_
             M = np.maximum(look_up(cube, n @ map_from_world.T), 0)
             unhidden = even + np.maximum(n @ light.towards.T, 0) @ light.rgb
             received = M * divide(received, unhidden, where_zero=float(self.soft))
-        I_v = rho_v * received + mirrored * highlight
+        I_v = rho_v * (1 - metal) * received + mirrored * highlight
+        out = I_v + surface.emissive[covered] + np.array(view.facts.bias_rgb)
         virtual = np.zeros(surface.normal.shape, np.float32)
-        virtual[covered] = surface.coverage[covered][:, None] * (
-            I_v + glow + np.array(view.facts.bias_rgb)
-        )
+        virtual[covered] = surface.coverage[covered][:, None] * out
         return virtual

@@ -24,6 +24,7 @@ blur. Its errors: docs/methods/dof.md#errata."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from math import ceil, sqrt
 from typing import Any
 
@@ -31,7 +32,7 @@ import cv2
 import numpy as np
 from pydantic import field_validator
 
-from arfx.core.colour import LUMA_COEFFICIENTS, SRGB
+from arfx.core.colour import SRGB, yuv_from_rgb
 from arfx.core.compiled import kernel
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
@@ -116,16 +117,14 @@ def dioptres(now: Layers, facts: FrameFacts, real: Real, grid: np.ndarray) -> np
     """(h, w) 1/m of the composite: the object's where it covers half a pixel or more, else the
     real scene's."""
     rect = now.rect
-    measured = real.tiles is not None
-    out = dioptre_of(now[Layer.REAL_DEPTH]) if measured else real.dioptres(grid, rect)
+    out = real.dioptres(grid, rect)
+    if real.tiles is not None:
+        out = dioptre_of(now[Layer.REAL_DEPTH])
     for plane in real.finite_planes:
         positions = between_nodes(plane.positions(grid), rect)
         out = np.where(plane.within(positions), positions[..., 2], out)
-    near, far = depth_range(facts)
-    depth = np.clip(now[Layer.DEPTH], near, far)
-    return np.where(now[Layer.COVERAGE] >= 0.5, divide(1.0, depth), out).astype(
-        np.float32
-    )
+    own = divide(1.0, np.clip(now[Layer.DEPTH], *depth_range(facts)))
+    return np.where(now[Layer.COVERAGE] >= 0.5, own, out).astype(np.float32)
 
 
 # 3.3 Blur by luminance. What stands in front of a pixel does not flow into it
@@ -138,14 +137,10 @@ def mean_filter(
     weights : (n,) float32 of a row and of a column, n odd; equal ones = the mean"""
     weights = (weights / weights.sum()).astype(np.float32)
     out = cv2.sepFilter2D(colour, -1, weights, weights, borderType=cv2.BORDER_REPLICATE)
-    any_in_front = (
-        cv2.dilate(dioptre, np.ones((len(weights), len(weights)), np.uint8))
-        > dioptre * _NEARER
-    )
+    nearest = cv2.dilate(dioptre, np.ones((len(weights), len(weights)), np.uint8))
+    front = nearest > dioptre * _NEARER
     parallel_rows(
-        lambda a, b: _mean_without_front(
-            out, a, b, colour, dioptre, weights, any_in_front
-        ),
+        lambda a, b: _mean_without_front(out, a, b, colour, dioptre, weights, front),
         len(out),
     )
     return out
@@ -153,14 +148,14 @@ def mean_filter(
 
 @kernel()
 def _mean_without_front(
-    out, top, bottom, colour, dioptre, weights, any_in_front
+    out, top, bottom, colour, dioptre, weights, front
 ):  # pragma: no cover - compiled
     h, w = dioptre.shape
     half = len(weights) // 2
     sums = np.zeros(4, np.float32)
     for y in range(top, bottom):
         for x in range(w):
-            if not any_in_front[y, x]:
+            if not front[y, x]:
                 continue
             sums[:] = 0
             for dy in range(-half, half + 1):
@@ -181,8 +176,7 @@ def eq8_bleed(colour: np.ndarray, dioptre: np.ndarray) -> np.ndarray:
     """(h, w, 3): mean of the brighter ones among a pixel's eight neighbours, weighted by the luma
     that they have more;
     the pixel itself where none is brighter."""
-    kr, kb = LUMA_COEFFICIENTS["bt601"]
-    luma = (colour @ np.array([kr, 1 - kr - kb, kb], np.float32)).astype(np.float32)
+    luma = (colour @ yuv_from_rgb("bt601")[0].astype(np.float32)).astype(np.float32)
     colour = np.ascontiguousarray(colour, np.float32)
     out = colour.copy()
     parallel_rows(lambda a, b: _bleed(out, a, b, colour, luma, dioptre), len(out))
@@ -217,10 +211,10 @@ def within_depth_of_field(
 ) -> np.ndarray:
     """By how much the blur factor counts: 2/3 within the limits `sharp`, 1 outside, smoothly
     between around them."""
-    focus, reach = 0.5 * (sharp[0] + sharp[1]), 0.5 * (sharp[1] - sharp[0])
-    place = (
-        np.abs(dioptre - focus) / reach if np.isfinite(reach) else np.zeros_like(dioptre)
-    )  # 1 on both limits
+    focus = 0.5 * (sharp[0] + sharp[1])
+    reach = 0.5 * (sharp[1] - sharp[0])
+    # 1 on both limits
+    place = np.abs(dioptre - focus) / reach if np.isfinite(reach) else 0 * dioptre
     if border == 0:
         return np.where(place <= 1, INSIDE, 1.0)
     return INSIDE + (1 - INSIDE) * smoothstep(0.5 + (place - 1) / (2 * border))
@@ -255,10 +249,8 @@ class PrintedDof(Dof):
         asked = super().demand(facts, scene, frame)
         if asked.nothing:
             return asked
-        return Demand(
-            frame if self.params.scope == "all" else object_box(facts, frame, 0.0),
-            asked.reason,
-        )
+        whole = self.params.scope == "all"
+        return replace(asked, rect=frame if whole else object_box(facts, frame, 0.0))
 
     @property
     def weights(self) -> np.ndarray:
@@ -272,7 +264,8 @@ class PrintedDof(Dof):
         return out.pad(len(self.weights) // 2 + 1).clip(scene.camera.rect)
 
     def run(self, view: View, prepared: np.ndarray) -> Mapping[Layer, Any]:
-        facts, now = view.facts, view.layers
+        facts = view.facts
+        now = view.layers
         image = now[Layer.IMAGE]
         asked = super().demand(facts, view.scene, view.scene.camera.rect)
         if asked.nothing or not facts.present:
@@ -302,7 +295,8 @@ class PrintedDof(Dof):
         low, high = real.dioptre_range(grid)
         if not facts.model_box.empty:
             near, far = depth_range(facts)
-            low, high = min(low, 1 / far), max(high, 1 / near)
+            low = min(low, 1 / far)
+            high = max(high, 1 / near)
         p = self.params
         return 1 / p.far_m if p.far_m > 0 else low, 1 / p.near_m if p.near_m > 0 else high
 

@@ -50,7 +50,9 @@ def hyperfocal(N: float, C: float, F: float) -> float:
 def printed_limits(lens: Lens, C: float) -> Limits:
     """(4) to (6), C in mm. Errors as `core.lens.depth_of_field`."""
     checked(lens, C)
-    F, N, L = lens.focal_mm, lens.fnumber, lens.focus_mm
+    F = lens.focal_mm
+    N = lens.fnumber
+    L = lens.focus_mm
     return Limits(
         eq4_front(N, C, L, F),
         eq5_back(N, C, L, F),

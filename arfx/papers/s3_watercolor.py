@@ -84,22 +84,18 @@ def depth_buffer(view: View, near_m: float) -> np.ndarray:
     """(h, w) float32 0..1: what OpenGL's depth buffer holds with the far clip plane at infinity, 1
     - near_m / depth. Of the object, around it of the measured depth or the marker's plane; 1, as it
     is cleared, where nothing is known."""
-    now = view.layers
     facts = view.facts
     rect = view.rect
     dioptre = np.zeros((rect.height, rect.width), np.float32)
     if facts.real_depth is not None:
-        dioptre = dioptre_of(now[Layer.REAL_DEPTH])
+        dioptre = dioptre_of(view[Layer.REAL_DEPTH])
     elif facts.camera_from_world is not None:
         x = np.arange(rect.x0, rect.x1)
         y = np.arange(rect.y0, rect.y1)[:, None]
-        dioptre = plane_dioptre(
-            x,
-            y,
-            view.scene.camera,
-            facts.camera_from_world @ view.scene.world_from_anchor,
-        )
-    dioptre = np.where(now[Layer.COVERAGE] >= 0.5, dioptre_of(now[Layer.DEPTH]), dioptre)
+        placed = facts.camera_from_world @ view.scene.world_from_anchor
+        dioptre = plane_dioptre(x, y, view.scene.camera, placed)
+    own = view[Layer.COVERAGE] >= 0.5
+    dioptre = np.where(own, dioptre_of(view[Layer.DEPTH]), dioptre)
     return np.clip(1 - near_m * dioptre, LEAST, 1).astype(np.float32)
 
 
@@ -110,13 +106,9 @@ def cones(sites: Sites, size: np.ndarray, rect: Rect, m: int, n: int) -> np.ndar
     # cone need be longer
     length = (np.hypot(rect.width / n, rect.height / m) + 1 / STEPS) / float(size.min())
     labels = np.zeros((rect.height, rect.width), np.int32)
-    x, y = (
-        a.astype(np.float64)
-        for a in (sites.x / STEPS - rect.x0, sites.y / STEPS - rect.y0)
-    )
-    _draw_cones(
-        x, y, size.astype(np.float64), length, np.full(labels.shape, np.inf), labels
-    )
+    x = (sites.x / STEPS - rect.x0).astype(float)
+    y = (sites.y / STEPS - rect.y0).astype(float)
+    _draw_cones(x, y, size.astype(float), length, np.full(labels.shape, np.inf), labels)
     return labels
 
 
@@ -128,13 +120,10 @@ def _draw_cones(x, y, size, length, depth, labels):  # pragma: no cover - compil
     for k in range(x.shape[0]):
         radius = length * size[k]
         slope = 1 / (size[k] * size[k])
-        for j in range(
-            max(int(np.ceil(y[k] - radius)), 0), min(int(np.floor(y[k] + radius)) + 1, h)
-        ):
-            for i in range(
-                max(int(np.ceil(x[k] - radius)), 0),
-                min(int(np.floor(x[k] + radius)) + 1, w),
-            ):
+        top = max(int(np.ceil(y[k] - radius)), 0)
+        left = max(int(np.ceil(x[k] - radius)), 0)
+        for j in range(top, min(int(np.floor(y[k] + radius)) + 1, h)):
+            for i in range(left, min(int(np.floor(x[k] + radius)) + 1, w)):
                 z = ((i - x[k]) ** 2 + (j - y[k]) ** 2) * slope
                 if z < depth[j, i]:
                     depth[j, i] = z
@@ -148,16 +137,22 @@ def at_sites(pixels: np.ndarray, sites: Sites, rect: Rect) -> np.ndarray:
     return pixels[y, x]
 
 
+def voronoi(
+    buffer: np.ndarray, rect: Rect, m: int, n: int, key: int
+) -> tuple[Sites, np.ndarray]:
+    """(sites of (1), (h, w) whose cell), by cones as large as a buffer (h, w) is at their sites."""
+    sites = eq1_sites(rect, m, n, key)
+    return sites, cones(sites, at_sites(buffer, sites, rect), rect, m, n)
+
+
 def named_by_colour(
     coded: np.ndarray, labels: np.ndarray, sites: Sites, rect: Rect
 ) -> tuple[np.ndarray, int]:
     """(labels, count) in which cells whose sites show one 8-bit colour are one cell.
 
     coded : (h, w, 3) 0..1"""
-    colour = np.round(np.clip(at_sites(coded, sites, rect), 0, 1) * 255).astype(
-        np.int64
-    ) @ np.array([65536, 256, 1])
-    unique, number = np.unique(colour, return_inverse=True)
+    colour = np.round(np.clip(at_sites(coded, sites, rect), 0, 1) * 255).astype(int)
+    unique, number = np.unique(colour @ [65536, 256, 1], return_inverse=True)
     return number.ravel().astype(np.int32)[labels], len(unique)
 
 
@@ -196,18 +191,15 @@ def eq4_edges(
 ) -> np.ndarray:
     """(h, w) float32 beta Edge_YUV + (1 - beta) Edge_RGB, an edge where it is above the
     threshold."""
-    return (beta * eq2_yuv(coded, alpha, matrix) + (1 - beta) * eq3_rgb(coded)).astype(
-        np.float32
-    )
+    own = beta * eq2_yuv(coded, alpha, matrix) + (1 - beta) * eq3_rgb(coded)
+    return own.astype(np.float32)
 
 
 def gradient(a: np.ndarray) -> np.ndarray:
     """(h, w, c) length of the difference to the pixels on the right and below; nothing lies behind
     the border."""
-    dx = np.zeros_like(a)
-    dy = np.zeros_like(a)
-    dx[:, :-1] = np.diff(a, axis=1)
-    dy[:-1] = np.diff(a, axis=0)
+    dx = np.diff(a, axis=1, append=a[:, -1:])
+    dy = np.diff(a, axis=0, append=a[-1:])
     return np.sqrt(dx * dx + dy * dy)
 
 
@@ -223,41 +215,36 @@ class PrintedWatercolor(Watercolor):
 
     def run(self, view: View, prepared: None) -> Mapping[Layer, np.ndarray]:
         p = self.params
-        rect = view.rect
         coded = self.frame(view)
-        m = p.m or max(round(rect.height / p.cell_px), 1)
-        n = p.n or max(round(rect.width / p.cell_px), 1)
-        sites = eq1_sites(rect, m, n, view.key)
-        labels = cones(
-            sites, at_sites(depth_buffer(view, p.near_m), sites, rect), rect, m, n
-        )
-        number, count = named_by_colour(coded, labels, sites, rect)
-        out = mean_colours(coded, [number], count)[0][number]
+        out = self.cells(view, coded)
         out[eq4_edges(coded, p.alpha, p.beta, p.yuv) > p.line_threshold] = 0
         return {Layer.IMAGE: SRGB.decode(out).astype(np.float32)}
+
+    def cells(self, view: View, coded: np.ndarray) -> np.ndarray:
+        """(h, w, 3) the coded picture in the mean colours of its cells."""
+        p = self.params
+        rect = view.rect
+        m = p.m or max(round(rect.height / p.cell_px), 1)
+        n = p.n or max(round(rect.width / p.cell_px), 1)
+        buffer = depth_buffer(view, p.near_m)
+        sites, labels = voronoi(buffer, rect, m, n, view.key)
+        number, count = named_by_colour(coded, labels, sites, rect)
+        return mean_colours(coded, [number], count)[0][number]
 
     def frame(self, view: View) -> np.ndarray:
         """(h, w, 3) float32 coded: real scene and object, which is toon-shaded."""
         p = self.params
-        now = view.layers
         image = view[Layer.IMAGE]
-        box = now.extent(Layer.COVERAGE)
+        box = view.layers.extent(Layer.COVERAGE)
         if p.toon and view.facts.present and not box.empty:
-            part = now.crop(box)
+            part = view.layers.crop(box)
             image = image.copy()
-            lightDir, _ = toon_light(
-                view.light, view.scene.world_from_anchor.rotation[:, 2]
-            )
+            up = view.scene.world_from_anchor.rotation[:, 2]
+            lightDir, _ = toon_light(view.light, up)
             myColor = SRGB.encode(np.clip(part[Layer.ALBEDO], 0, 1))
-            shaded = SRGB.decode(
-                toon(
-                    myColor,
-                    part[Layer.NORMAL],
-                    lightDir,
-                    p.toon_thresholds,
-                    p.toon_factors,
-                )
-            )
+            normal = part[Layer.NORMAL]
+            steps = (p.toon_thresholds, p.toon_factors)
+            shaded = SRGB.decode(toon(myColor, normal, lightDir, *steps))
             covered = part[Layer.COVERAGE][..., None] * shaded
             image[box.slices_in(view.rect)] += view.facts.opacity * (
                 covered - part[Layer.VIRTUAL]

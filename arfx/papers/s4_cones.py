@@ -61,7 +61,8 @@ def cone_steps(tan_half: float, n: int) -> np.ndarray:
     """(k, 3) float32 of a cone through n^3 voxels: distance of each sample, voxels; its level; ds /
     s. From where the cone is a voxel wide, or one voxel off, to 8 n, beyond which nothing is larger
     than a few degrees."""
-    out, t = [], min(0.5 / tan_half, 1.0)
+    out = []
+    t = min(0.5 / tan_half, 1.0)
     while t < 8 * n:
         ds = SPACING * max(2 * tan_half * t, 1.0)
         level = min(np.log2(max(2 * tan_half * (t + ds / 2), 1.0)), np.log2(n))
@@ -83,10 +84,8 @@ def cone_trace(
     steps : of `cone_steps`
     scaled : radiance counts as much as the step's opacity does, however a way is cut into steps
     """
-    start, d = (
-        volumes.in_voxels(positions_m),
-        np.ascontiguousarray(directions, np.float32),
-    )
+    start = volumes.in_voxels(positions_m).astype(np.float32)
+    d = np.ascontiguousarray(directions, np.float32)
     parts = parallel_rows(
         lambda a, b: _cone_trace(volumes.tree, V, steps, start[a:b], d[a:b], scaled),
         len(start),
@@ -102,41 +101,26 @@ def _cone_trace(
     """`cone_trace` of some. start (m, 3) : voxels"""
     out = np.zeros((start.shape[0], directions.shape[1], 4), np.float32)
     seen, above = np.empty((2, 4), np.float32)
-    size, half, one = np.float32(1 << tree.depth), np.float32(0.5), np.float32(1)
-    around = half * np.float32(2) ** steps[-1, 1] if steps.shape[0] else half
+    size = np.float32(1 << tree.depth)
+    half = np.float32(0.5)
+    one = np.float32(1)
     for i in range(start.shape[0]):
         for c in range(directions.shape[1]):
             d = directions[i, c]
             transmittance = one
-            enters, leaves = np.float32(0), np.float32(1e30)
-            for axis in range(
-                3
-            ):  # the cube, and how far around it the coarsest voxels are felt
-                slope = d[axis] if abs(d[axis]) > np.float32(1e-9) else np.float32(1e-9)
-                a, e = (
-                    (-around - start[i, axis]) / slope,
-                    (size + around - start[i, axis]) / slope,
-                )
-                enters, leaves = max(enters, min(a, e)), min(leaves, max(a, e))
             for k in range(steps.shape[0]):
-                t, level, exponent = steps[k, 0], int(steps[k, 1]), steps[k, 2]
+                t = steps[k, 0]
+                level = int(steps[k, 1])
+                exponent = steps[k, 2]
                 coarser = steps[k, 1] - np.float32(level)
-                if t < enters:
-                    continue
-                if t > leaves:
-                    break
-                s = np.float32(1 << level) * (one + coarser)
-                outside = False
-                for axis in range(3):
-                    p = start[i, axis] + t * d[axis]
-                    outside = outside or p < -half * s or p > size + half * s
-                if outside:
-                    continue
+                reach = half * np.float32(1 << level) * (one + coarser)
                 at = (
                     start[i, 0] + t * d[0],
                     start[i, 1] + t * d[1],
                     start[i, 2] + t * d[2],
                 )
+                if min(at) < -reach or max(at) > size + reach:
+                    continue
                 sample(tree, V, level, at, d, seen)
                 if coarser > 0:
                     sample(tree, V, level + 1, at, d, above)
@@ -161,14 +145,21 @@ def _cone_trace(
 def sample(tree: Octree, V, level, at, d, out):  # pragma: no cover - compiled
     """out (4,) : r, g, b, opacity as seen along d, linear between the level's eight voxels around
     `at`, in voxels of the lowest."""
-    zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
+    zero = np.float32(0)
+    half = np.float32(0.5)
+    one = np.float32(1)
     s = one / np.float32(1 << level)
     x, y, z = at[0] * s - half, at[1] * s - half, at[2] * s - half  # whole at centres
-    ix, iy, iz = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
-    fx, fy, fz = x - np.float32(ix), y - np.float32(iy), z - np.float32(iz)
+    ix = int(np.floor(x))
+    iy = int(np.floor(y))
+    iz = int(np.floor(z))
+    fx = x - np.float32(ix)
+    fy = y - np.float32(iy)
+    fz = z - np.float32(iz)
     out[:] = zero
     # the eight are looked for from the lowest node that holds them all: most often there is none
-    bits, up = tree.depth - level, 0
+    bits = tree.depth - level
+    up = 0
     differ = (ix ^ (ix + 1)) | (iy ^ (iy + 1)) | (iz ^ (iz + 1))
     while up < bits and differ >> up:
         up += 1
@@ -176,7 +167,9 @@ def sample(tree: Octree, V, level, at, d, out):  # pragma: no cover - compiled
     if shared < 0:
         return
     for corner in range(8):
-        jx, jy, jz = ix + (corner & 1), iy + (corner >> 1 & 1), iz + (corner >> 2)
+        jx = ix + (corner & 1)
+        jy = iy + (corner >> 1 & 1)
+        jz = iz + (corner >> 2)
         w = (
             (fx if jx > ix else one - fx)
             * (fy if jy > iy else one - fy)
@@ -190,7 +183,8 @@ def sample(tree: Octree, V, level, at, d, out):  # pragma: no cover - compiled
         if node < 0 or tree.eta[node, 3] <= 0:
             continue
         alpha = tree.eta[node, 3]
-        cosine, length2 = zero, zero
+        cosine = zero
+        length2 = zero
         for k in range(3):
             normal = tree.eta[node, k] / alpha
             cosine += normal * d[k]

@@ -27,20 +27,17 @@ def step3_environment(image: np.ndarray, size: int = SIZE) -> np.ndarray:
     thirds, its middle the front and, mirrored, the back, the parts beside the middle the sides.
     There is a seam where those meet the back."""
     picture = foldable(image)
-    h, w = picture.shape[:2]
-    ys, xs = (np.linspace(0, n, 4).round().astype(int) for n in (h, w))
+    ys, xs = (np.linspace(0, n, 4).round().astype(int) for n in picture.shape[:2])
 
     def third(row: int, column: int) -> np.ndarray:
         part = picture[ys[row] : ys[row + 1], xs[column] : xs[column + 1]]
-        return cv2.resize(
-            np.ascontiguousarray(part), (size, size), interpolation=cv2.INTER_AREA
-        )
+        return cv2.resize(part, (size, size), interpolation=cv2.INTER_AREA)
 
     # a side's first line is the one that touches the front
-    right, left = third(1, 2), third(1, 0)[:, ::-1]
-    down, up = third(2, 1), third(0, 1)[::-1]
+    left = third(1, 0)[:, ::-1]
+    up = third(0, 1)[::-1]
     front = third(1, 1)
-    return np.stack([right, left, down, up, front, front])
+    return np.stack([third(1, 2), left, third(2, 1), up, front, front])
 
 
 def step3_mipmap(cube: np.ndarray) -> list[np.ndarray]:
@@ -58,11 +55,11 @@ def with_border(faces: np.ndarray) -> np.ndarray:
     """(6, n + 2, n + 2, c) of faces (6, n, n, c): the texels next to them over the edge."""
     n = faces.shape[1]
     out = look_up(faces, bordered_directions(n)).reshape(6, n + 2, n + 2, -1)
-    for j, i in ((0, 0), (0, -1), (-1, 0), (-1, -1)):  # at a corner three faces meet
-        inner_j, inner_i = (1 if k == 0 else -2 for k in (j, i))
-        out[:, j, i] = (
-            out[:, inner_j, inner_i] + out[:, j, inner_i] + out[:, inner_j, i]
-        ) / 3
+    # at a corner three faces meet
+    ends = slice(None, None, n + 1)
+    inner = slice(1, -1, max(n - 1, 1))
+    others = out[:, inner, inner] + out[:, ends, inner] + out[:, inner, ends]
+    out[:, ends, ends] = others / 3
     return out
 
 
@@ -85,15 +82,16 @@ def step4_environment(
     mipmap: list[np.ndarray], directions: np.ndarray, half_angle_deg: float
 ) -> np.ndarray:
     """(n, 3) radiance about the middles of cones (n, 3), camera axes, by their aperture."""
+    from scipy.ndimage import map_coordinates
+
     level = min(mip_level(half_angle_deg, mipmap[0].shape[1] - 2), len(mipmap) - 1)
     below = min(int(level), len(mipmap) - 2)
     face, u, v = on_cube(directions)
-    from scipy.ndimage import map_coordinates
-
     out = np.zeros((len(directions), 3))
     for k, share in ((below, below + 1 - level), (below + 1, level - below)):
         row, column = ((t + 1) / 2 * (mipmap[k].shape[1] - 2) + 0.5 for t in (v, u))
         for c in range(3):
-            channel, places = mipmap[k][..., c], (face, row, column)
+            channel = mipmap[k][..., c]
+            places = (face, row, column)
             out[:, c] += share / FULL * map_coordinates(channel, places, float, order=1)
     return out

@@ -18,8 +18,8 @@ sum). Its errors: docs/methods/gi.md#errata."""
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from dataclasses import replace
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -31,15 +31,20 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.settings import Fraction, setting
 from arfx.core.stage import Demand, Stage, View
-from arfx.papers.s4_cones import around_normals, cone_steps, cone_trace, six_cones
+from arfx.papers.s4_cones import (
+    around_normals,
+    cone_steps,
+    cone_trace,
+    six_cones,
+)
 from arfx.papers.s4_environment import (
     FACE_PX,
     step3_environment,
     step3_mipmap,
     step4_environment,
 )
-from arfx.papers.s4_plane import real_and_virtual, real_scene, step1_mesh
-from arfx.papers.s4_shadow_maps import Radiance, step2_radiance
+from arfx.papers.s4_plane import step1_mesh
+from arfx.papers.s4_shadow_maps import step2_radiance
 from arfx.papers.s4_volumes import Volumes, step2_volumes
 from arfx.stages.gi import GiParams
 from arfx.stages.gi.gloss import mirror_tangent
@@ -72,8 +77,7 @@ class PrintedGiParams(GiParams):
     plane_albedo: Fraction = setting(0.5, "of the real plane, 0..1")
 
 
-@dataclass(frozen=True, eq=False)
-class PrintedPrepared:
+class PrintedPrepared(NamedTuple):
     """Of one clip and worker. real, virtual : what rays meet of the mesh of step 1, and of the
     object
     volumes : of step 2;  grid : viewing directions"""
@@ -84,8 +88,7 @@ class PrintedPrepared:
     grid: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class Surfels:
+class Surfels(NamedTuple):
     """Points of surfaces that are shaded. position (m, 3), metres, normal (m, 3) and seen (m, 3),
     unit direction from the camera: anchor axes"""
 
@@ -103,6 +106,10 @@ class Surfels:
         return -(self.seen * self.normal).sum(-1)
 
 
+# mip levels of step 3's environment, and the rotation (3, 3) to the camera's axes from the anchor's
+Around = tuple[list[np.ndarray], np.ndarray]
+
+
 class PrintedGi(Stage):
     name = "gi"
     facts = frozenset({"pose", "light", "depth"})
@@ -110,7 +117,8 @@ class PrintedGi(Stage):
     terms = ("frames", "mpx", "object_mpx", "lamps", "new_lights")
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
-        model, mesh = facts.raster_box.clip(frame), self._mesh_rect(facts, scene, frame)
+        model = facts.raster_box.clip(frame)
+        mesh = self._mesh_rect(facts, scene, frame)
         if model.empty and mesh.empty:
             return Demand(EMPTY, "model and planes out of view")
         return Demand(model.union(mesh), "model and the real planes' mesh, as printed")
@@ -124,115 +132,87 @@ class PrintedGi(Stage):
         }
 
     def prepare(self, scene: Scene, level: str) -> Any:
-        parts = step1_mesh(scene, self.params.plane_albedo)
-        volumes = step2_volumes(real_and_virtual(scene, parts), scene, self.params.voxels)
-        return PrintedPrepared(
-            RayScene(real_scene(scene, parts)),
-            RayScene(scene),
-            volumes,
-            direction_grid(scene.camera),
-        )
+        real = step1_mesh(scene, self.params.plane_albedo)
+        volumes = step2_volumes(real, scene, self.params.voxels)
+        grid = direction_grid(scene.camera)
+        return PrintedPrepared(RayScene(real), RayScene(scene), volumes, grid)
 
-    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
+    def run(self, view: View, prepared: PrintedPrepared) -> Mapping[Layer, np.ndarray]:
         lamps = lamps_of(view.light)
+        real, virtual, volumes, _ = prepared
         turn = view.scene.world_from_anchor.rotation
+        lights = [(d @ turn, rgb) for d, rgb in lamps]
         radiance = view.memo.of_light.get(
-            repr(lamps),
-            lambda: step2_radiance(
-                prepared.volumes,
-                prepared.real,
-                prepared.virtual,
-                [(d @ turn, rgb) for d, rgb in lamps],
-            ),
+            repr(lamps), lambda: step2_radiance(volumes, real, virtual, lights)
         )
-        virtual, shadow = view[Layer.VIRTUAL].copy(), view[Layer.SHADOW].copy()
-        picture = np.clip(
-            view[Layer.PLATE] - np.array(view.facts.bias_rgb, np.float32), 0, None
-        )
+        objects = view[Layer.VIRTUAL].copy()
+        shadow = view[Layer.SHADOW].copy()
+        bias = np.array(view.facts.bias_rgb, np.float32)
+        picture = np.clip(view[Layer.PLATE] - bias, 0, None)
         wanted = view.out.clip(view.rect)
         if self.params.strength > 0 and radiance.V_delta.any():
-            within = wanted.clip(
-                self._mesh_rect(view.facts, view.scene, view.scene.camera.rect)
-            )
+            camera = view.scene.camera.rect
+            within = wanted.clip(self._mesh_rect(view.facts, view.scene, camera))
             for y in range(within.y0, within.y1, BAND_PX):
                 band = replace(within, y0=y, y1=min(y + BAND_PX, within.y1))
                 at, surfels = real_surfels(view, prepared, band)
-                change, light = -self.step4_real(prepared, radiance, surfels), picture[at]
-                shadow[at] += (
-                    self.params.strength
-                    * np.maximum(change, -light)
-                    / np.maximum(light, DARKEST)
-                )
-        environment = step3_mipmap(step3_environment(picture, FACE_PX))
-        rows, surfels = virtual_surfels(view, wanted.clip(view.facts.raster_box))
-        virtual[rows] += view[Layer.COVERAGE][rows][:, None] * self.step4_virtual(
-            view,
-            prepared,
-            radiance,
-            environment,
-            surfels,
-            view[Layer.ALBEDO][rows],
-            view[Layer.MATERIAL][rows],
+                change = self.step4_real(volumes, radiance.V_delta, surfels)
+                light = picture[at]
+                ratio = np.minimum(change, light) / np.maximum(light, DARKEST)
+                shadow[at] -= self.params.strength * ratio
+        around = (
+            step3_mipmap(step3_environment(picture, FACE_PX)),
+            (view.pose @ view.scene.world_from_anchor).rotation,
         )
-        return {Layer.VIRTUAL: virtual, Layer.SHADOW: np.maximum(shadow, 0)}
+        rows, surfels = virtual_surfels(view, wanted.clip(view.facts.raster_box))
+        coverage, rho, material = (
+            view[name][rows] for name in (Layer.COVERAGE, Layer.ALBEDO, Layer.MATERIAL)
+        )
+        light = self.step4_virtual(volumes, radiance.V_mu, around, surfels, rho, material)
+        objects[rows] += coverage[:, None] * light
+        return {Layer.VIRTUAL: objects, Layer.SHADOW: np.maximum(shadow, 0)}
 
     def step4_real(
-        self, prepared: PrintedPrepared, radiance: Radiance, at: Surfels
+        self, volumes: Volumes, V_delta: np.ndarray, at: Surfels
     ) -> np.ndarray:
         """(m, 3) of V_delta on real surfaces: by the wide cones, and by the mirror cone, in which
         the object is reflected."""
-        volumes, six = (
-            prepared.volumes,
-            wide_cones(prepared.volumes, radiance.V_delta, at),
-        )
-        out = self.params.plane_albedo * six[..., :3]
-        if self.params.plane_gloss > 0:
-            rough = np.full(len(out), self.params.plane_roughness)
-            mirrored, _ = mirror_cones(volumes, radiance.V_delta, at, rough)
+        p = self.params
+        out = p.plane_albedo * wide_cones(volumes, V_delta, at)[:, :3]
+        if p.plane_gloss > 0:
+            rough = np.full(len(out), p.plane_roughness)
+            mirrored = mirror_cones(volumes, V_delta, at, rough)
             a, b = fresnel(rough, at.cosine)
-            out = out + (self.params.plane_gloss * a + b) * mirrored[:, :3]
+            out += (p.plane_gloss * a + b) * mirrored[:, :3]
         return out
 
     def step4_virtual(
         self,
-        view: View,
-        prepared: PrintedPrepared,
-        radiance: Radiance,
-        environment: list[np.ndarray],
+        volumes: Volumes,
+        V_mu: np.ndarray,
+        around: Around,
         at: Surfels,
         rho: np.ndarray,
         material: np.ndarray,
     ) -> np.ndarray:
         """(m, 3) of V_mu, the rebuilt volume, and the environment behind it, on the object's
         surfaces."""
-        camera_from_anchor = (view.pose @ view.scene.world_from_anchor).rotation
-        metal, roughness = material[:, :1], material[:, 1]
-        six = wide_cones(
-            prepared.volumes, radiance.V_mu, at, environment, camera_from_anchor
-        )
-        mirrored, half_deg = mirror_cones(prepared.volumes, radiance.V_mu, at, roughness)
-        for deg in np.unique(half_deg):
-            k = half_deg == deg
-            mirrored[k, :3] += mirrored[k, 3:] * step4_environment(
-                environment, at.mirrored[k] @ camera_from_anchor.T, deg
-            )
+        metal, roughness, specular = np.split(material[:, :3], 3, 1)
+        roughness = roughness[:, 0]
+        six = wide_cones(volumes, V_mu, at, around)
+        mirrored = mirror_cones(volumes, V_mu, at, roughness, around)
         a, b = fresnel(roughness, at.cosine)
-        f0 = 0.08 * material[:, 2:3] * (1 - metal)
+        f0 = 0.08 * specular * (1 - metal)
         gloss = np.where(f0 + metal > 0, (f0 + rho * metal) * a + b, 0)
-        return (
-            rho * (1 - metal) * (1 - np.where(f0 > 0, f0 * a + b, 0)) * six[..., :3]
-            + gloss * mirrored[:, :3]
-        )
+        diffuse = rho * (1 - metal) * (1 - np.where(f0 > 0, f0 * a + b, 0))
+        return diffuse * six[:, :3] + gloss * mirrored[:, :3]
 
     def _mesh_rect(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Rect:
         """Pixels in which the mesh of the real planes can be seen."""
         if self.params.strength <= 0:
             return EMPTY
-        mesh = step1_mesh(scene, self.params.plane_albedo)
-        corners = np.concatenate([part.vertices for part in mesh])
-        return seen_rect(
-            scene.camera, (facts.pose @ scene.world_from_anchor).apply(corners), 1.0
-        ).clip(frame)
+        corners = step1_mesh(scene, self.params.plane_albedo).model_points_m
+        return seen_rect(scene.camera, facts.pose.apply(corners), 1.0).clip(frame)
 
 
 def lamps_of(light: Light) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -250,12 +230,13 @@ def real_surfels(
     seen = d.reshape(-1, 3) @ anchor_from_camera.rotation.T
     eyes = np.broadcast_to(anchor_from_camera.translation_m, seen.shape)
     met = prepared.real.nearest(eyes, seen)
-    covered = view[Layer.COVERAGE][within.slices_in(view.rect)].ravel()
-    on = np.isfinite(met.distance) & (covered < 1)
-    depth = view[Layer.REAL_DEPTH][within.slices_in(view.rect)].ravel()
+    covered, depth = (
+        view[name][within.slices_in(view.rect)].ravel()
+        for name in (Layer.COVERAGE, Layer.REAL_DEPTH)
+    )
     with np.errstate(invalid="ignore"):
-        on &= ~(np.isfinite(depth) & (np.abs(depth - met.distance) > LIFT * met.distance))
-    pixel = np.flatnonzero(on)
+        off = np.isfinite(depth) & (np.abs(depth - met.distance) > LIFT * met.distance)
+    pixel = np.flatnonzero(np.isfinite(met.distance) & (covered < 1) & ~off)
     surface = prepared.real.surface(met.of(pixel), eyes[pixel], seen[pixel])
     front = (surface.normal * seen[pixel]).sum(-1) < 0
     pixel = pixel[front]
@@ -270,29 +251,56 @@ def real_surfels(
 def virtual_surfels(view: View, within: Rect) -> tuple[Rows, Surfels]:
     """The same of the object's pixels."""
     row, column = np.nonzero(object_mask(view, within))
-    position, normal, towards = object_points(view, (row, column))
-    return (row, column), Surfels(position, normal, -towards)
+    rows = row, column
+    position, normal, towards = object_points(view, rows)
+    return rows, Surfels(position, normal, -towards)
 
 
 def wide_cones(
+    volumes: Volumes, V: np.ndarray, at: Surfels, around: Around | None = None
+) -> np.ndarray:
+    """(m, 4) of six cones about the normal, .25 of the one along it and .15 of each of the five
+    around, and of what is around behind them."""
+    six, weights, tan_half = six_cones()
+    d = around_normals(at.normal.astype(np.float32), six)
+    return np.asarray(weights @ gathered(volumes, V, at.position, d, tan_half, around))
+
+
+def mirror_cones(
     volumes: Volumes,
     V: np.ndarray,
     at: Surfels,
-    environment: list[np.ndarray] | None = None,
-    turn: np.ndarray | None = None,
+    roughness: np.ndarray,
+    around: Around | None = None,
 ) -> np.ndarray:
-    """(m, 4) of six cones about the normal, .25 of the one along it and .15 of each of the five
-    around, and of the environment
-    behind them. turn (3, 3) : camera from anchor axes"""
-    six, weights, tan_half = six_cones()
-    d = around_normals(at.normal.astype(np.float32), six)
-    out = cone_trace(volumes, V, cone_steps(tan_half, volumes.volume.n), at.position, d)
-    if environment is not None and turn is not None:
+    """(m, 4) of one narrow cone about the mirrored line of sight, and of what is around behind it.
+    roughness (m,)"""
+    tangent = mirror_tangent(np.rint(roughness * (LOBES - 1)) / (LOBES - 1))
+    out = np.zeros((len(tangent), 4), np.float32)
+    for one in np.unique(tangent):
+        rows = tangent == one
+        d = at.mirrored[rows][:, None]
+        out[rows] = gathered(volumes, V, at.position[rows], d, one, around)[:, 0]
+    return out
+
+
+def gathered(
+    volumes: Volumes,
+    V: np.ndarray,
+    position: np.ndarray,
+    d: np.ndarray,
+    tan_half: float,
+    around: Around | None,
+) -> np.ndarray:
+    """(m, k, 4) of cones from positions (m, 3) in directions (m, k, 3), and of what is around
+    behind them."""
+    out = cone_trace(volumes, V, cone_steps(tan_half, volumes.volume.n), position, d)
+    if around is not None:
+        environment, turn = around
         half_deg = float(np.degrees(np.arctan(tan_half)))
-        out[..., :3] += out[..., 3:] * step4_environment(
-            environment, d.reshape(-1, 3) @ turn.T, half_deg
-        ).reshape(d.shape)
-    return np.asarray((weights[:, None] * out).sum(1))
+        behind = step4_environment(environment, d.reshape(-1, 3) @ turn.T, half_deg)
+        out[..., :3] += out[..., 3:] * behind.reshape(d.shape)
+    return out
 
 
 def fresnel(roughness: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -302,18 +310,3 @@ def fresnel(roughness: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.n
     column = np.rint(np.clip(cosine, 0, 1) * (COSINES - 1)).astype(int)
     entry = split_sum()[row, column]
     return entry[:, :1], entry[:, 1:]
-
-
-def mirror_cones(
-    volumes: Volumes, V: np.ndarray, at: Surfels, roughness: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """((m, 4) of one narrow cone about the mirrored line of sight, (m,) degrees of its half-angle).
-    roughness (m,)"""
-    tangent = mirror_tangent(np.rint(roughness * (LOBES - 1)) / (LOBES - 1))
-    out = np.zeros((len(tangent), 4), np.float32)
-    for one in np.unique(tangent):
-        rows, steps = tangent == one, cone_steps(float(one), volumes.volume.n)
-        out[rows] = cone_trace(
-            volumes, V, steps, at.position[rows], at.mirrored[rows][:, None]
-        )[:, 0]
-    return out, np.degrees(np.arctan(tangent))

@@ -15,7 +15,6 @@ highlight."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -43,17 +42,14 @@ def texel_rays(volume: Volume, direction: np.ndarray) -> np.ndarray:
     the volume."""
     half = np.sqrt(3) / 2 * volume.n * volume.voxel_m
     side = int(np.ceil(np.sqrt(3) * volume.n * TEXELS))
-    u = normalise(
-        np.cross(
-            direction, [0.0, 1.0, 0.0] if abs(direction[1]) < 0.9 else [1.0, 0.0, 0.0]
-        )
-    )
+    aside = [0.0, 1.0, 0.0] if abs(direction[1]) < 0.9 else [1.0, 0.0, 0.0]
+    u = normalise(np.cross(direction, aside))
     v = np.cross(direction, u)
-    a = ((np.arange(side) + 0.5) / side * 2 - 1) * half
+    a = ((np.arange(side) + 0.5) / side * 2 - 1)[:, None] * half
     middle = (
         np.asarray(volume.low_m) + volume.n * volume.voxel_m / 2 + 2 * half * direction
     )
-    return np.asarray(middle + (a[:, None, None] * v + a[:, None] * u)).reshape(-1, 3)
+    return (middle + (a[:, None] * v + a * u)).reshape(-1, 3)
 
 
 def shadow_map(
@@ -65,7 +61,7 @@ def shadow_map(
     met = rays.nearest(origins, directions)
     lit = np.isfinite(met.distance)
     surface = rays.surface(met.of(lit), origins[lit], directions[lit])
-    position, radiance = np.zeros_like(origins), np.zeros_like(origins)
+    position, radiance = np.zeros((2, *origins.shape))
     position[lit] = surface.position
     cosine = np.clip(surface.normal @ direction, 0, None)[:, None]
     radiance[lit] = surface.reflectance * rgb * cosine
@@ -88,19 +84,19 @@ def shadow_maps(
     return R_rho, R_mu, shows
 
 
-def injected(volumes: Volumes, lights: ShadowMap, of: np.ndarray) -> np.ndarray:
+def injected(
+    volumes: Volumes, lights: ShadowMap, of: np.ndarray | bool = True
+) -> np.ndarray:
     """(leaves, 3) radiance times opacity of the virtual point lights `of` (k,). A later texel
     overwrites an earlier one."""
     out = np.zeros((len(volumes.codes), 3))
-    rows = np.flatnonzero(of & np.isfinite(lights.distance))
-    leaf = volumes.leaf_of(lights.position[rows])
-    rows, leaf = rows[leaf >= 0], leaf[leaf >= 0]
-    out[leaf] = lights.radiance[rows]
-    return out * volumes.tree.eta[-len(out) :, 3:]
+    lit = of & np.isfinite(lights.distance)
+    leaf = volumes.leaf_of(lights.position[lit])
+    out[leaf[leaf >= 0]] = lights.radiance[lit][leaf >= 0]
+    return out * volumes.tree.eta[volumes.rows_of(0), 3:]
 
 
-@dataclass(frozen=True, eq=False)
-class Radiance:
+class Radiance(NamedTuple):
     """The three fields, (nodes, 3) float32 each: without the object, with it, and V_rho - V_mu."""
 
     V_rho: np.ndarray
@@ -116,12 +112,10 @@ def step2_radiance(
 ) -> Radiance:
     """lights : direction (3,), unit, anchor axes, and rgb (3,) of each"""
     V_rho, V_mu, V_delta = np.zeros((3, len(volumes.codes), 3))
-    for direction, rgb in lights:
-        R_rho, R_mu, shows = shadow_maps(real, virtual, volumes.volume, direction, rgb)
-        every = np.ones_like(shows)
-        V_rho += injected(volumes, R_rho, every)
-        V_mu += injected(volumes, R_mu, every)
-        V_delta += injected(volumes, R_rho, shows) - injected(
-            volumes, R_mu, shows
-        )  # split injection
-    return Radiance(*(volumes.filtered(v) for v in (V_rho, V_mu, V_delta)))
+    for light in lights:
+        R_rho, R_mu, shows = shadow_maps(real, virtual, volumes.volume, *light)
+        V_rho += injected(volumes, R_rho)
+        V_mu += injected(volumes, R_mu)
+        # split injection
+        V_delta += injected(volumes, R_rho, shows) - injected(volumes, R_mu, shows)
+    return Radiance(*map(volumes.filtered, (V_rho, V_mu, V_delta)))

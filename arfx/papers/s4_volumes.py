@@ -11,7 +11,6 @@ opacity."""
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +18,7 @@ import numpy as np
 from arfx.core.compiled import kernel
 from arfx.core.scene import Scene
 from arfx.papers.s4_voxels import Volume, voxelise
+from arfx.stages.light.planes import bounding_ball
 
 # Radii of the object to each side of its middle: where its shadow and its bounced light fall
 MARGIN = 2.0
@@ -27,8 +27,8 @@ _BITS = np.array([bin(mask).count("1") for mask in range(256)], np.int32)
 
 
 class Octree(NamedTuple):
-    """first (nodes,) int32 : first child, -1 of a leaf;  mask (nodes,) uint8 : which of the eight
-    children are there, bit 4 z + 2 y + x;  eta (nodes, 4) float32 : V_eta
+    """first () int32 : first child, mask () uint8 : which of the eight children are there, bit
+    4 z + 2 y + x, of the nodes over the lowest level;  eta (nodes, 4) float32 : V_eta
     depth : levels under the root"""
 
     first: np.ndarray
@@ -37,8 +37,7 @@ class Octree(NamedTuple):
     depth: int
 
 
-@dataclass(frozen=True, eq=False)
-class Volumes:
+class Volumes(NamedTuple):
     """The voxelised scene. volume : its cube;  tree;  codes (leaves,) int64 : of the lowest level's
     voxels, sorted
     starts : of every level over the lowest, first child of each node, counted within the level
@@ -47,37 +46,29 @@ class Volumes:
     volume: Volume
     tree: Octree
     codes: np.ndarray
-    starts: tuple[np.ndarray, ...]
-
-    @property
-    def corner_m(self) -> np.ndarray:
-        return np.asarray(self.volume.low_m)
+    starts: list[np.ndarray]
 
     def in_voxels(self, positions_m: np.ndarray) -> np.ndarray:
-        """(n, 3) float32, voxels of the lowest level from the cube's corner, of positions (n, 3),
-        metres, anchor axes."""
-        return ((positions_m - self.corner_m) / self.volume.voxel_m).astype(np.float32)
+        """(n, 3), voxels of the lowest level from the cube's corner, of positions (n, 3), metres,
+        anchor axes."""
+        return (positions_m - self.volume.low_m) / self.volume.voxel_m
 
     def leaf_of(self, positions_m: np.ndarray) -> np.ndarray:
         """(n,) leaf that holds each position (n, 3), metres, anchor axes; -1 where nothing is
         stored."""
-        cells = np.floor((positions_m - self.corner_m) / self.volume.voxel_m)
+        cells = np.floor(self.in_voxels(positions_m))
         inside = ((cells >= 0) & (cells < self.volume.n)).all(-1)
-        code = morton(np.where(inside[:, None], cells, 0).astype(np.int64))
+        code = morton(np.where(inside[:, None], cells, 0).astype(int))
         at = np.minimum(np.searchsorted(self.codes, code), len(self.codes) - 1)
         return np.where(inside & (self.codes[at] == code), at, -1)
 
-    def filtered(self, leaves: np.ndarray, stored: bool = False) -> np.ndarray:
-        """(nodes, c) float32 of values (leaves, c): n levels take n - 1 steps, from the lowest
-        upwards. stored : of `step2_mean`"""
-        levels = [leaves.astype(np.float32)]
-        for start in self.starts:
-            levels.append(step2_mean(levels[-1], start, stored))
-        return np.concatenate(levels[::-1])
+    def filtered(self, leaves: np.ndarray) -> np.ndarray:
+        """As `step2_mean`."""
+        return step2_mean(leaves, self.starts)
 
     def rows_of(self, level: int) -> slice:
         """Nodes of a level, 0 = lowest, in the order of their codes."""
-        count = [len(self.codes), *(len(start) for start in self.starts)]
+        count = [len(self.codes), *map(len, self.starts)]
         first = sum(count[level + 1 :])
         return slice(first, first + count[level])
 
@@ -88,41 +79,43 @@ class Volumes:
         return len(self.tree.eta) * (POINTER_BYTES + 4 * channels), dense
 
 
-def step2_mean(below: np.ndarray, starts: np.ndarray, stored: bool = False) -> np.ndarray:
-    """A voxel is the mean of its eight children, of which the missing ones are empty. Through a
-    wall one voxel thick 1 - 2^-L of the light leaks at level L. stored : the mean of those children
-    that are there: no light leaks, but every surface grows with the level
+def step2_mean(
+    leaves: np.ndarray, starts: list[np.ndarray], stored: bool = False
+) -> np.ndarray:
+    """(nodes, c) float32 of values (leaves, c): n levels take n - 1 steps, from the lowest upwards.
 
-    below (m, c) : of the level below, by code;  starts (p,) : of each voxel's first child in it
-    """
-    children = np.diff(starts, append=len(below))[:, None] if stored else 8
-    return np.asarray(
-        np.add.reduceat(below, starts, axis=0) / np.asarray(children, np.float32)
-    )
+    A voxel is the mean of its eight children, of which the missing ones are empty. Through a wall
+    one voxel thick 1 - 2^-L of the light leaks at level L. stored : the mean of those children that
+    are there: no light leaks, but every surface grows with the level
+    starts : of `Volumes`"""
+    levels: list[np.ndarray] = [leaves.astype(np.float32)]
+    for start in starts:
+        below = levels[-1]
+        children = np.diff(start, append=len(below))[:, None] if stored else 8
+        levels.append(np.add.reduceat(below, start) / np.float32(children))
+    return np.concatenate(levels[::-1])
 
 
-def step2_volumes(both: Scene, around: Scene, n: int) -> Volumes:
-    """V_eta of the real and the virtual scene `both`. around : the scene whose object is in the
-    middle;  n : voxels a side"""
-    volume = cube_around(around, n)
-    return octree_of(volume, *voxelise(both, volume))
+def step2_volumes(real: Scene, scene: Scene, n: int) -> Volumes:
+    """V_eta of the real scene and of the scene with the object, which is in the middle. n : voxels
+    a side"""
+    volume = cube_around(scene, n)
+    return octree_of(volume, *voxelise(volume, real, scene))
 
 
 def cube_around(scene: Scene, n: int) -> Volume:
     """The smallest cube with one empty voxel around the object and the plane under it, MARGIN
     radii to each side. Borders of voxels lie on z = 0, where the plane is."""
     points = scene.world_from_anchor.inverse().apply(scene.model_points_m)
-    points = points[np.isfinite(points).all(1)]
-    centre = (points.min(0) + points.max(0)) / 2
-    reach = MARGIN * max(float(np.linalg.norm(points - centre, axis=1).max()), 1e-6)
-    foot = centre[:2] - reach, centre[:2] + reach
-    low = np.minimum(points.min(0), [*foot[0], 0])
-    high = np.maximum(points.max(0), [*foot[1], 0])
-    voxel_m = max(float((high - low).max()), 1e-9) / (n - 3)
+    z = points[np.isfinite(points).all(1), 2]
+    centre, radius = bounding_ball(scene)
+    low = np.append(centre[:2] - MARGIN * radius, min(z.min(), 0))
+    high = np.append(centre[:2] + MARGIN * radius, max(z.max(), 0))
+    voxel_m = float((high - low).max()) / (n - 3)
     corner = (low + high) / 2 - voxel_m * n / 2
     # what stands on the plane fills the voxels over it: not by rounding those under it
     corner[2] = (np.floor(low[2] / voxel_m - 1 + 1e-3) - 1e-3) * voxel_m
-    return Volume(n, (float(corner[0]), float(corner[1]), float(corner[2])), voxel_m)
+    return Volume(n, corner, voxel_m)
 
 
 def octree_of(
@@ -133,25 +126,27 @@ def octree_of(
     stored: bool = False,
 ) -> Volumes:
     """cells (v, 3) int;  normal (v, 3);  opacity (v,);  stored : of `step2_mean`"""
-    code = morton(cells.astype(np.int64))
-    order = np.argsort(code, kind="stable")
-    levels, starts = [code[order]], list[np.ndarray]()
-    first, mask = [np.full(len(code), -1, np.int32)], [np.zeros(len(code), np.uint8)]
+    code = morton(cells)
+    order = np.argsort(code)
+    codes = [code[order]]
+    starts: list[np.ndarray] = []
+    masks = []
     while len(starts) < int(np.log2(volume.n)):
-        codes, start = np.unique(levels[-1] >> 3, return_index=True)
-        mask.append(np.add.reduceat(1 << (levels[-1] & 7), start).astype(np.uint8))
-        levels.append(codes)
+        above, start = np.unique(codes[-1] >> 3, return_index=True)
+        masks.append(np.add.reduceat(1 << (codes[-1] & 7), start))
+        codes.append(above)
         starts.append(start)
-    # nodes before the level of the children
-    before = np.cumsum([0, *map(len, levels[:0:-1])])[::-1]
-    first += [
-        (k + start).astype(np.int32) for k, start in zip(before, starts, strict=False)
-    ]
-    links = np.concatenate(first[::-1]), np.concatenate(mask[::-1])
-    bare = Octree(*links, np.zeros((0, 4), np.float32), len(starts))
-    out = Volumes(volume, bare, levels[0], tuple(starts))
+    # children lie behind all nodes of the levels over theirs
+    before = np.cumsum([len(level) for level in codes[:0:-1]])
+    first = [k + start for k, start in zip(before, starts[::-1], strict=True)]
     leaves = np.column_stack([normal * opacity[:, None], opacity])[order]
-    return replace(out, tree=bare._replace(eta=out.filtered(leaves, stored)))
+    tree = Octree(
+        np.concatenate(first).astype(np.int32),
+        np.concatenate(masks[::-1]).astype(np.uint8),
+        step2_mean(leaves, starts, stored),
+        len(starts),
+    )
+    return Volumes(volume, tree, codes[0], starts)
 
 
 def morton(cells: np.ndarray) -> np.ndarray:

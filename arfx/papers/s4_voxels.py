@@ -11,35 +11,31 @@ pass."""
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from arfx.core.compiled import kernel
-from arfx.core.model import Part
 from arfx.core.numerics import divide, normalise
 from arfx.core.scene import Scene
 
 PIECE = np.float32(0.5)  # of a voxel: the longest edge of a piece
-MOST_PIECES = 4096  # along an edge
 # A flat wall covers a voxel's face once, a slanted one that crosses a corner less: twice the area
 # is opaque, so that slanted walls do not leak.
 FULL = 2.0
 
 
-@dataclass(frozen=True)
-class Volume:
+class Volume(NamedTuple):
     """A cube of n^3 voxels. low_m : (x, y, z) of its lowest corner, anchor axes
     voxel_m : side of a voxel"""
 
     n: int
-    low_m: tuple[float, float, float]
+    low_m: np.ndarray | tuple[float, float, float]
     voxel_m: float
 
 
 class Voxels(NamedTuple):
-    """cells (v, 3) int32 x, y, z
+    """cells (v, 3) int64 x, y, z
     normal (v, 3) : unit, mean of the surface, anchor axes; 0 where two sides cancel
     opacity (v,) 0..1"""
 
@@ -48,57 +44,46 @@ class Voxels(NamedTuple):
     opacity: np.ndarray
 
 
-def voxelise(scene: Scene, volume: Volume) -> Voxels:
-    """Every part of the scene's model within the volume. Triangles without area or not finite count
-    for nothing."""
-    n = volume.n
-    sums = np.zeros((n, n, n, 5), np.float32)
-    for part in scene.model.parts:
-        add_pieces(*cut_triangles(scene, part, volume), np.float32(part.opacity), sums)
+def voxelise(volume: Volume, *scenes: Scene) -> Voxels:
+    """Every part of the scenes' models within the volume. Triangles without area or not finite
+    count for nothing."""
+    sums = np.zeros((*[volume.n] * 3, 5), np.float32)
+    for scene in scenes:
+        placed = scene.world_from_anchor.inverse().matrix @ scene.world_from_model
+        linear = placed[:3, :3]
+        unscaled = linear / np.cbrt(abs(np.linalg.det(linear)))
+        for part in scene.model.parts:
+            metres = part.vertices @ linear.T + placed[:3, 3]
+            vertices = ((metres - volume.low_m) / volume.voxel_m).astype(np.float32)
+            normals = (part.normals @ unscaled.T).astype(np.float32)
+            faces = part.faces[np.isfinite(vertices[part.faces]).all((1, 2))]
+            corners = vertices[faces]
+            edges = corners - np.roll(corners, 1, 1)
+            longest = np.linalg.norm(edges, axis=-1).max(1, initial=0)
+            cuts = (longest / PIECE).astype(int) + 1  # along an edge
+            area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=-1) / 2
+            add_pieces(
+                corners, normals[faces], cuts, area, np.float32(part.opacity), sums
+            )
     zyx = np.nonzero(sums[..., 0])
-    sums = sums[zyx]
-    area, rest = sums[:, 0].astype(float), sums[:, 1:].astype(float)
-    mean = divide(rest, area[:, None])
-    opacity = np.minimum(FULL * area, 1) * np.clip(mean[:, 3], 0, 1)
-    cells = np.stack(zyx[::-1], -1).astype(np.int32)
-    normal = normalise(mean[:, :3])
-    return Voxels(cells, normal.astype(np.float32), opacity.astype(np.float32))
-
-
-def cut_triangles(
-    scene: Scene, part: Part, volume: Volume
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of a part's triangles that are finite: corners (f, 3, 3) float32, voxels; their normals
-    (f, 3, 3) float32; (f,) pieces along an edge, 0 = none; (f,) float32 area of a piece, voxel
-    faces."""
-    anchor_from_model = scene.world_from_anchor.inverse().matrix @ scene.world_from_model
-    linear = anchor_from_model[:3, :3]
-    metres = part.vertices @ linear.T + anchor_from_model[:3, 3]
-    vertices = ((metres - np.asarray(volume.low_m)) / volume.voxel_m).astype(np.float32)
-    faces = part.faces[np.isfinite(vertices[part.faces]).all((1, 2))]
-    corners = vertices[faces]
-    unscaled = linear / np.cbrt(abs(np.linalg.det(linear)))
-    normals = (part.normals @ unscaled.T).astype(np.float32)[faces]
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    edges = np.stack([first, second, corners[:, 2] - corners[:, 1]], 1)
-    longest = np.sqrt((edges**2).sum(-1).max(1))
-    area = np.float32(0.5) * np.sqrt((np.cross(first, second) ** 2).sum(-1))
-    cuts = np.minimum((longest / PIECE).astype(np.int64) + 1, MOST_PIECES)
-    cuts[~(area > 0)] = 0
-    piece_area = area / np.maximum(cuts * cuts, 1).astype(np.float32)
-    return corners, normals, cuts, piece_area
+    held = sums[zyx].astype(float).T
+    mean = divide(held[1:], held[0])
+    opacity = np.minimum(FULL * held[0], 1) * np.clip(mean[3], 0, 1)
+    normal = normalise(mean[:3].T)
+    return Voxels(
+        np.stack(zyx[::-1], -1), normal.astype(np.float32), opacity.astype(np.float32)
+    )
 
 
 @kernel()
-def add_pieces(
-    corners, normals, cuts, piece_area, alpha, sums
-):  # pragma: no cover - compiled
-    """sums (n, n, n, 5), z first, += area of each piece, and the area times its normal and its
-    opacity alpha."""
+def add_pieces(corners, normals, cuts, area, alpha, sums):  # pragma: no cover - compiled
+    """sums (n, n, n, 5), z first, += area of each piece of triangles (f, 3, 3), voxels, and the
+    area times its normal and its opacity alpha."""
     n = sums.shape[0]
-    for f in range(corners.shape[0]):
+    for f in np.flatnonzero(area > 0):
         a, b, c = corners[f]
         cut = cuts[f]
+        piece_area = area[f] / np.float32(cut * cut)
         for i in range(cut):
             for j in range(2 * (cut - i) - 1):
                 # the centre of sub-triangle j of row i, as weights of the three corners
@@ -112,9 +97,9 @@ def add_pieces(
                 if min(x, y, z) < 0 or max(x, y, z) >= n:
                     continue
                 to = sums[z, y, x]
-                to[0] += piece_area[f]
+                to[0] += piece_area
                 for k in range(3):
                     corner = normals[f, :, k]
                     normal = corner[0] * w + corner[1] * p + corner[2] * q
-                    to[1 + k] += piece_area[f] * normal
-                to[4] += piece_area[f] * alpha
+                    to[1 + k] += piece_area * normal
+                to[4] += piece_area * alpha

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from arfx.core.machine import usable_cores
-from arfx.measure.difference import difference, level_difference
+from arfx.measure.difference import level_difference
 from arfx.measure.plots import png
 from arfx.measure.tradeoff_html import TIMES, error_map
 from arfx.reproduce import PAPERS
@@ -26,6 +26,7 @@ from arfx.reproduce.rows import (
     Item,
     Row,
     Value,
+    eight_bit,
 )
 from arfx.reproduce.work import Work
 from arfx.run.folder import write
@@ -94,48 +95,29 @@ def machine() -> str:
 
 def text(value: Value) -> str:
     """A value for reading: numbers with six figures at most."""
-    if value is None:
-        return "–"
-    return (
-        value
-        if isinstance(value, str)
-        else f"{value:,.6g}"
-        if abs(value) < 1e6
-        else f"{value:.4g}"
-    )
+    if value is None or isinstance(value, str):
+        return value or "–"
+    return f"{value:,.6g}" if abs(value) < 1e6 else f"{value:.4g}"
 
 
 def captioned(shown: Figure) -> Iterator[tuple[np.ndarray, str]]:
     """Every picture with its caption, followed by its error map where it is compared with
     another.
     """
-    compared = (
-        {PRINTED: REFERENCE, CORRECTED: REFERENCE}
-        if REFERENCE in shown.pictures
-        else {CORRECTED: PRINTED}
-    )
     pictures = {name: eight_bit(picture) for name, picture in shown.pictures.items()}
+    compared = dict.fromkeys((PRINTED, CORRECTED), REFERENCE)
+    if REFERENCE not in pictures:
+        compared = {CORRECTED: PRINTED}
     for name, picture in pictures.items():
-        against = compared.get(name)
-        if against is None or against not in pictures:
+        against = compared.get(name, "")
+        other = pictures.get(against)
+        if other is None:
             yield picture, name
             continue
-        other = pictures[against]
-        apart = difference(other, picture, np.ones(picture.shape[:2], bool))
-        most = float(np.max(level_difference(other, picture)))
-        yield (
-            picture,
-            (
-                f"{name}: {apart.mean:.2f} grey levels from {against} on average,"
-                f" {most:.0f} at most"
-            ),
+        apart = level_difference(other, picture)
+        words = (
+            f"{name}: {apart.mean():.2f} grey levels from {against} on average,"
+            f" {apart.max():.0f} at most"
         )
+        yield picture, words
         yield error_map(other, picture), f"{name} less {against}, × {TIMES} about grey"
-
-
-def eight_bit(coded: np.ndarray) -> np.ndarray:
-    """(h, w, 3) uint8 of coded values 0..1, of one channel or three; of uint8 as they are."""
-    if coded.dtype == np.uint8:
-        return coded
-    out = np.round(255 * np.clip(coded, 0, 1)).astype(np.uint8)
-    return out if out.ndim == 3 else np.dstack([out] * 3)

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib.figure
 import numpy as np
 
 from arfx.measure.plots import styled
 
-HOLDS, DIFFERS, UNDERIVED = "holds", "differs, explained", "cannot be derived"
+HOLDS = "holds"
+DIFFERS = "differs, explained"
+UNDERIVED = "cannot be derived"
 VERDICTS = (HOLDS, DIFFERS, UNDERIVED)
 BEFORE, PRINTED, CORRECTED, REFERENCE = (
     "before",
@@ -66,11 +68,12 @@ def half_digit(printed: str) -> float:
 def row(
     item: str,
     printed: Value,
-    values: Value | Sequence[Value],
+    values: Any,
     unit: str = "",
     reason: str = "",
-    holds: bool | None = None,
+    holds: Any = None,
     tolerance: float | None = None,
+    below: float | None = None,
 ) -> Row:
     """A row whose verdict follows from its values.
 
@@ -79,29 +82,30 @@ def row(
     reason : why, for all but HOLDS; else it is left out
     holds : whether what is printed was found; None = where the values agree with it: words
     that are the same, or, for a number as it stands there, "58.7", what rounds to its digits
-    tolerance : in place of half its last digit
+    tolerance : in place of half its last digit;  below : it was found where all values are
     """
-    pair = values if isinstance(values, (tuple, list)) else (values, None)
+    pair = values if np.ndim(values) else (values, None)
     of_paper, corrected = (
         v.item() if isinstance(v, (np.generic, np.ndarray)) else v for v in pair
     )
+    known: list[Any] = [value for value in (of_paper, corrected) if value is not None]
+    if below is not None:
+        holds = max(known) < below
     if holds is None and isinstance(printed, str):
-        text, number = printed, as_number(printed)
-        known = [value for value in (of_paper, corrected) if value is not None]
-        holds = all(_agrees(value, text, tolerance) for value in known)
-        printed = text if number is None else number
+        number = as_number(printed)
+        if number is None:
+            holds = all(value == printed for value in known)
+        else:
+            within = half_digit(printed) if tolerance is None else tolerance
+            holds = all(
+                isinstance(value, (int, float))
+                and abs(value - number) <= within * (1 + 1e-9)
+                for value in known
+            )
+            printed = number
     verdict = UNDERIVED if of_paper is None else HOLDS if holds else DIFFERS
-    if verdict == HOLDS:
-        reason = ""
+    reason = "" if verdict == HOLDS else reason
     return Row(item, printed, of_paper, corrected, reason, unit, verdict)
-
-
-def _agrees(value: float | str, printed: str, tolerance: float | None) -> bool:
-    number = as_number(printed)
-    if number is None or isinstance(value, str):
-        return value == printed
-    within = half_digit(printed) if tolerance is None else tolerance
-    return abs(value - number) <= within * (1 + 1e-9)
 
 
 def as_number(text: str) -> float | None:
@@ -112,8 +116,7 @@ def as_number(text: str) -> float | None:
     return value if math.isfinite(value) else None
 
 
-@dataclass(frozen=True, eq=False)
-class Figure:
+class Figure(NamedTuple):
     """Pictures of a figure of a paper, side by side.
 
     item : of the row that speaks of it;  title : what is seen
@@ -127,8 +130,7 @@ class Figure:
     pictures: Mapping[str, np.ndarray]
 
 
-@dataclass(frozen=True, eq=False)
-class Plot:
+class Plot(NamedTuple):
     """A plot in place of a table or curve.
 
     item : of a row that speaks of it;  figure : of matplotlib
@@ -139,8 +141,7 @@ class Plot:
     figure: Any
 
 
-@dataclass(frozen=True, eq=False)
-class Bars:
+class Bars(NamedTuple):
     """A plot of a table: a group of bars for each label, a colour for each series (printed,
     printed method, corrected …).
 
@@ -174,6 +175,14 @@ def curves(
     return Plot(item, title, figure)
 
 
+def eight_bit(coded: np.ndarray) -> np.ndarray:
+    """(h, w, 3) uint8 of coded values 0..1, of one channel or three; of uint8 as they are."""
+    if coded.dtype == np.uint8:
+        return coded
+    out = np.round(255 * np.clip(coded, 0, 1)).astype(np.uint8)
+    return out if out.ndim == 3 else np.dstack([out] * 3)
+
+
 COLOURS = (
     "#8b949e",
     "#d9822b",
@@ -182,3 +191,4 @@ COLOURS = (
 )  # printed, printed method, corrected, reference
 
 Item = Row | Figure | Plot | Bars
+Items = Iterator[Item]

@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from arfx.core.numerics import direction_of
+
 SCENE = Path(__file__).with_name("scenes") / "turned-card.toml"
 KEYS, REST_FRAMES, FPS = 27, 2, 24.0  # of the card: it rests in the last frames
 
@@ -22,8 +24,7 @@ class Lamp(NamedTuple):
 
     @property
     def towards(self) -> np.ndarray:
-        a, e = np.radians([self.azimuth_deg, self.elevation_deg])
-        return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+        return direction_of(*np.radians([self.azimuth_deg, self.elevation_deg]))
 
 
 SITUATIONS = (Lamp(200, 48), Lamp(-20, 34))  # of figure 3

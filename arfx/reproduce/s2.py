@@ -5,14 +5,12 @@ in the order of print.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from arfx.core.lens import Lens, circle_of_confusion_mm, depth_of_field
 from arfx.papers.s2_dof import (
-    PrintedDof,
     PrintedDofParams,
     blur_factor,
     eq7_circle,
@@ -31,20 +29,21 @@ from arfx.papers.s2_lens import (
     printed_limits,
 )
 from arfx.reproduce import s2_figures, s2_rates
-from arfx.reproduce.rows import COLOURS, Item, Row, curves, row
+from arfx.reproduce.rows import COLOURS, Items, Row, curves, row
 from arfx.reproduce.work import Work
 from arfx.stages.dof.aperture import disc
 from arfx.stages.dof.optics import CircleOfConfusion
 
 N, C, F, L = 11.0, 0.035, 200.0, 2500.0  # of the paper's example, mm
-LENS, OTHER = Lens(F, N, L), 5000.0
+LENS = Lens(F, N, L)
+OTHER = 5000.0
 AT = CircleOfConfusion(1e-3 * LENS.coc_mm_per_dioptre, 1e3 / L, math.inf, 1.0)
 # what fraction of a pixel's light each row of a blur circle gets
 DISC_ROWS = disc(3.0).sum(1)
 L_LESS_F = "(4) and (5) have L where (3) implies L - F"
 
 
-def rows(work: Work) -> Iterator[Item]:
+def rows(work: Work) -> Items:
     yield from _circle()
     yield from _limits()
     yield from _example()
@@ -56,18 +55,21 @@ def rows(work: Work) -> Iterator[Item]:
     yield from s2_rates.rows(work)
 
 
-def _circle() -> Iterator[Item]:
+def _circle() -> Items:
     """(1) to (3), (7)."""
-    true, infinite = float(circle_of_confusion_mm(OTHER, LENS)), LENS.coc_at_infinity_mm
+    true = float(circle_of_confusion_mm(OTHER, LENS))
+    infinite = LENS.coc_at_infinity_mm
     picture = eq2_picture(F, L)
-    first, third = eq1_circle(picture, L, OTHER, F / N), eq3_circle(F, N, L, OTHER)
+    first = eq1_circle(picture, L, OTHER, F / N)
+    third = eq3_circle(F, N, L, OTHER)
     seventh = float(eq7_circle(1e3 / OTHER, AT))
     yield _same("equation (1)", "C = V_A/U_A |U_B - U_A|/U_B D", first, true)
     # C of infinity is D v / u
     yield _same("equation (2)", "1/f = 1/u + 1/v", picture, infinite * L / (F / N))
     yield _same("equation (3)", "C = F²/(U_A - F) |U_B - U_A|/(N U_B)", third, true)
     yield _same("equation (7)", "C = F²/(U - F) |L - U|/(N L)", seventh, true)
-    item, far = "equation (3), infinitely far", eq3_circle(F, N, L, 1e12)
+    item = "equation (3), infinitely far"
+    far = eq3_circle(F, N, L, 1e12)
     yield _same(item, "F²/(N (U_A - F))", far, infinite, 1e-6)
 
 
@@ -79,16 +81,13 @@ def _same(
     return row(item, printed, (value, other), "mm", "another length", same)
 
 
-def _sharp_mm(lens: Lens) -> tuple[tuple[float, float], tuple[float, float]]:
-    """What is sharp before the focus, as printed and corrected, and behind it."""
-    (front, back), (true_front, true_back) = (
-        (limits.front_mm or 0.0, limits.back_mm or 0.0)
-        for limits in (printed_limits(lens, C), depth_of_field(lens, C))
-    )
-    return (front, true_front), (back, true_back)
+def _sharp_mm(lens: Lens) -> np.ndarray:
+    """(2, 2) what is sharp before the focus, as printed and corrected, and behind it."""
+    both = printed_limits(lens, C), depth_of_field(lens, C)
+    return np.array([(limits.front_mm, limits.back_mm) for limits in both], float).T
 
 
-def _limits() -> Iterator[Item]:
+def _limits() -> Items:
     """(4) to (6): the circle where they lie, and where they have no value."""
     for far, of, why in (
         (L, "", L_LESS_F),
@@ -96,78 +95,80 @@ def _limits() -> Iterator[Item]:
     ):
         lens = replace(LENS, focus_mm=far)
         fronts, backs = _sharp_mm(lens)
-        ends = {"(4)": [far - mm for mm in fronts], "(5)": [far + mm for mm in backs]}
-        for name, places in ends.items():
+        for name, places in (("(4)", far - fronts), ("(5)", far + backs)):
             yield row(
                 f"equation {name}{of}, circle (3) at this limit",
                 f"{C}",
-                [float(circle_of_confusion_mm(place, lens)) for place in places],
+                circle_of_confusion_mm(places, lens),
                 "mm",
                 why,
                 tolerance=1e-9,
             )
-    fronts, backs = _sharp_mm(LENS)
-    parts, true_parts = (a + b for a, b in zip(fronts, backs, strict=True))
+    limits = depth_of_field(LENS, C)
+    parts, true_parts = _sharp_mm(LENS).sum(0)
     yield row(
         "equation (6)",
         "ΔL1 + ΔL2",
-        (eq6_total(N, C, L, F), depth_of_field(LENS, C).total_mm),
+        (eq6_total(N, C, L, F), limits.total_mm),
         "mm",
         "L in the denominator is not squared, the dimensions do not match; the sum of (4)"
         f" and (5) is {parts:.4f}, and by (3) {true_parts:.4f}",
     )
     squared = 2 * F**2 * N * C * L**2 / (F**4 - (N * C * L) ** 2)
     yield _same("equation (6), L squared", "ΔL1 + ΔL2", squared, parts, 1e-12)
-    here, true_mm = hyperfocal(N, C, F), depth_of_field(LENS, C).hyperfocal_mm
     yield row(
         "equation (5), hyperfocal distance",
         "F²/(N C)",
-        (here, true_mm),
+        (hyperfocal(N, C, F), limits.hyperfocal_mm),
         "mm",
         f"{L_LESS_F}; (5) has its pole there",
     )
-    beyond = Lens(F, N, 2 * true_mm)
+    beyond = Lens(F, N, 2 * limits.hyperfocal_mm)
     px_per_dioptre = 1e-3 * beyond.coc_mm_per_dioptre
     at = replace(AT, focus=1e3 / beyond.focus_mm, px_per_dioptre=px_per_dioptre)
     least = sharp_range(at, F, C)[0]
-    words = [
-        "not defined" if mm is None else "infinite" if math.isinf(mm) else f"{mm:g}"
-        for mm in (printed_limits(beyond, C).back_mm, depth_of_field(beyond, C).back_mm)
-    ]
     yield row(
         "equation (5), beyond the hyperfocal distance",
         "NCL²/(F² - NCL)",
-        words,
+        [
+            "not defined" if mm is None else "infinite" if math.isinf(mm) else f"{mm:g}"
+            for mm in (
+                printed_limits(beyond, C).back_mm,
+                depth_of_field(beyond, C).back_mm,
+            )
+        ],
         "",
         f"negative in print. As a dioptre its limit is {least:.4f} / m, below that of"
         " infinity: all behind is inside",
     )
 
 
-def _example() -> Iterator[Item]:
+def _example() -> Items:
     """Section 3.1."""
     fronts, backs = _sharp_mm(LENS)
+    of = "section 3.1, "
     for name, value, used, unit in (
-        ("f-number", "11", LENS.fnumber, ""),
-        ("focal length", "200", LENS.focal_mm, "mm"),
-        ("distance", "2.5", LENS.focus_mm / 1e3, "m"),
+        ("f-number", "11", N, ""),
+        ("focal length", "200", F, "mm"),
+        ("distance", "2.5", L / 1e3, "m"),
     ):
-        yield row(f"section 3.1, {name}", value, (used, used), unit)
+        yield row(f"{of}{name}", value, (used, used), unit)
     as_radius = eq4_front(N, 2 * C, L, F)
     yield row(
-        "section 3.1, permitted circle",
+        f"{of}permitted circle",
         "radius .035 mm",
         ("diameter .035 mm", "diameter .035 mm"),
         "",
         "the formulas take a diameter, and with .035 as such they give the printed 58.7"
         f" mm; as a radius {as_radius:.1f} mm",
     )
-    of = "section 3.1, "
-    yield row(f"{of}front depth of field (4)", "58.7", fronts, "mm", L_LESS_F)
-    yield row(f"{of}back depth of field (5)", "61.6", backs, "mm", L_LESS_F)
-    near, far = [(L - mm) / 1e3 for mm in fronts], [(L + mm) / 1e3 for mm in backs]
-    yield row(f"{of}sharp from", "2.4413", near, "m", L_LESS_F)
-    yield row(f"{of}sharp to", "2.5616", far, "m", L_LESS_F)
+    for name, value, found, unit in (
+        ("front depth of field (4)", "58.7", fronts, "mm"),
+        ("back depth of field (5)", "61.6", backs, "mm"),
+        ("sharp from", "2.4413", (L - fronts) / 1e3, "m"),
+        ("sharp to", "2.5616", (L + backs) / 1e3, "m"),
+    ):
+        yield row(of + name, value, found, unit, L_LESS_F)
     yield row(
         f"{of}depth of field of the composited scene",
         "126.746",
@@ -177,16 +178,11 @@ def _example() -> Iterator[Item]:
         f" (6) {eq6_total(N, C, L, F):.3f} mm; it"
         " is said to come from the camera's matrix, which is not stated",
     )
-    yield row(
-        f"{of}matrix of the camera",
-        "found by OpenCV",
-        None,
-        "",
-        "its elements are not known",
-    )
+    unknown = "its elements are not known"
+    yield row(f"{of}matrix of the camera", "found by OpenCV", None, "", unknown)
     distance = np.linspace(2350, 2680, 400)
     circle = np.array([eq3_circle(F, N, L, d) for d in distance])
-    apart = float(np.abs(circle - circle_of_confusion_mm(distance, LENS)).max())
+    apart = np.abs(circle - circle_of_confusion_mm(distance, LENS)).max()
     yield row(
         "figure 3",
         "circle of a point beside the focus",
@@ -208,20 +204,15 @@ def _example() -> Iterator[Item]:
     yield plot
 
 
-def _blur_factor() -> Iterator[Item]:
+def _blur_factor() -> Items:
     """Section 3.2, and what of it is wrong."""
     far = np.linspace(0.0, 1e3 / L, 50)
     rises = [
         "rises" if (np.diff(f) <= 0).all() else "does not rise"
         for f in (blur_factor(far, (0.0, 2.0), AT), AT.radius_px(far))
     ]
-    yield row(
-        "section 3, blur with distance from the focus",
-        "rises",
-        rises,
-        "",
-        "not everywhere",
-    )
+    item = "section 3, blur with distance from the focus"
+    yield row(item, "rises", rises, "", "not everywhere")
     a = blur_factor(np.array([0.0, 1e3 / L, 50.0]), (0.1, 2.0), AT)
     yield row(
         "section 3.4, range of α",
@@ -230,10 +221,8 @@ def _blur_factor() -> Iterator[Item]:
         "",
         "outside of it",
     )
-    words, why = (
-        "dioptres, 0 to 1 / z_near",
-        "1 / z has no largest distance: what is infinitely far has a place",
-    )
+    words = "dioptres, 0 to 1 / z_near"
+    why = "1 / z has no largest distance: what is infinitely far has a place"
     yield row("section 3.2, depth = z / z_far", "0 to 1", (words, words), "", why)
     infinite = blur_factor(np.array([0.0]), (0.0, 20.0), AT)[0]
     yield row(
@@ -244,47 +233,51 @@ def _blur_factor() -> Iterator[Item]:
         "C_near of a plane at 50 mm is so large that all else seems sharp: a depends on"
         " planes that nobody sees",
     )
-    one = [
-        float(blur_factor(np.array([1e3 / OTHER]), (1 / z, 0.5), AT)[0])
-        for z in (6.0, 1000.0)
-    ]
+    place = np.array([1e3 / OTHER])
+    circle = circle_of_confusion_mm(OTHER, LENS)
+    near, far_off = (blur_factor(place, (1 / z, 0.5), AT)[0] for z in (6.0, 1000.0))
     yield row(
         "section 3.2, a of a thing at 5 m",
         "one value",
         (
-            f"{one[0]:.3f} with z_far = 6 m, {one[1]:.3f} with 1000 m",
-            f"{float(circle_of_confusion_mm(OTHER, LENS)):.4f} mm with both",
+            f"{near:.3f} with z_far = 6 m, {far_off:.3f} with 1000 m",
+            f"{circle:.4f} mm with both",
         ),
         "",
         "one thing's blur changes with the far plane",
     )
-    wide, place = replace(AT, px_per_dioptre=AT.px_per_dioptre * N / 2), np.array([0.2])
-    ratio = (blur_factor(place, (0.0, 0.5), wide) / blur_factor(place, (0.0, 0.5), AT))[0]
-    circle = circle_of_confusion_mm(OTHER, LENS)
-    true = circle_of_confusion_mm(OTHER, Lens(F, 2.0, L)) / circle
+    wide = replace(AT, px_per_dioptre=AT.px_per_dioptre * N / 2)
+    open_a, a = (blur_factor(place, (0.0, 0.5), at)[0] for at in (wide, AT))
     yield row(
         "section 3.2, blur at f/2 over that at f/11",
         "from focal length and f-number",
-        (ratio, true),
+        (open_a / a, circle_of_confusion_mm(OTHER, Lens(F, 2.0, L)) / circle),
         "",
         "F and N cancel in a: an open and a closed aperture blur alike, but for the limits"
         " (4) and (5)",
     )
 
 
-def _luminance() -> Iterator[Item]:
+def _luminance() -> Items:
     """(8), with figure 7."""
     around = np.array([[100, 120, 90], [180, 100, 100], [60, 100, 140]], np.float32)
     flat = np.ones((3, 3), np.float32)
-    seen = []
-    for y, x in np.ndindex(3, 3):  # a little more in one neighbour alone
-        only = np.full((3, 3, 3), 100, np.float32)
-        only[y, x] = 101
-        seen.append(float(eq8_bleed(only, flat)[1, 1, 0]) > 100.5 and (y, x) != (1, 1))
-    yield row("figure 7, neighbours that count", "8", sum(seen))
-    result = eq8_bleed(np.dstack([around] * 3), flat)[1, 1, 0]
-    more = around[around > 100] - 100
-    expected = float((more / more.sum() * around[around > 100]).sum())
+
+    def middle(grey: np.ndarray) -> np.float32:
+        """Of 3 x 3 pixels."""
+        bled: np.float32 = eq8_bleed(np.dstack([grey] * 3), flat)[1, 1, 0]
+        return bled
+
+    # a little more in one pixel alone: that in the middle is no neighbour of its own
+    more = 100 + np.eye(9, dtype=np.float32).reshape(9, 3, 3)
+    yield row(
+        "figure 7, neighbours that count",
+        "8",
+        sum(middle(only) > 100.5 for only in np.delete(more, 4, 0)),
+    )
+    result = middle(around)
+    brighter = around[around > 100]
+    expected = float(np.average(brighter, weights=brighter - 100))
     yield row(
         "equation (8), 100 among 100, 120, 90, 180, 100, 60, 100, 140",
         "weights 20/140, 80/140, 40/140",
@@ -293,61 +286,46 @@ def _luminance() -> Iterator[Item]:
         "",
         math.isclose(result, expected, rel_tol=1e-5),
     )
-    darker = np.full((3, 3, 3), 50, np.float32)
+    darker = np.full((3, 3), 50, np.float32)
     darker[1, 1] = 100
-    yield row(
-        "equation (8), 100 among darker ones",
-        "100",
-        eq8_bleed(darker, flat)[1, 1, 0],
-    )
+    yield row("equation (8), 100 among darker ones", "100", middle(darker))
     dot = np.zeros((9, 9, 3), np.float32)
     dot[4, 4] = 1
     made = eq8_bleed(dot, np.ones((9, 9), np.float32))[..., 0].sum()
-    disc = DISC_ROWS.sum()
     yield row(
         "equation (8), light of one white pixel",
         1.0,
-        (made, disc),
+        (made, DISC_ROWS.sum()),
         "white pixels",
         "each neighbour takes the white pixel's whole value: light is made from nothing,"
         " and reaches one pixel. A disc keeps it",
     )
 
 
-def _blocks() -> Iterator[Item]:
+def _blocks() -> Items:
     """Figure 8: numbers of a CUDA block, and whether the printed filters fit into it."""
     (rows_px, columns_px), (tall, wide), size = (8, 16), (16, 24), 4
-    why = "of their graphics program"
+    threads = rows_px * columns_px
+    with_border = tall * wide
     parts = {
-        "colour": ("4608", tall * wide * 3 * size),
-        "circle": ("1536", tall * wide * size),
-        "luminance": ("1536", tall * wide * size),
-        "result": ("1536", rows_px * columns_px * 3 * size),
-        "intermediate": ("512", rows_px * columns_px * size),
+        "colour": ("4608", with_border * 3 * size),
+        "circle": ("1536", with_border * size),
+        "luminance": ("1536", with_border * size),
+        "result": ("1536", threads * 3 * size),
+        "intermediate": ("512", threads * size),
     }
-    for name, (printed, value) in parts.items():
-        yield row(f"figure 8, bytes of {name}", printed, value, "bytes", why)
-    yield row(
-        "figure 8, shared memory",
-        "9728",
-        sum(value for _, value in parts.values()),
-        "bytes",
-        why,
-    )
-    yield row(
-        "figure 8, blocks of 800 x 800",
-        "5000",
-        (800 // rows_px) * (800 // columns_px),
-        "",
-        why,
-    )
-    yield row("figure 8, threads of a block", "128", rows_px * columns_px, "", why)
-    halo = (tall - rows_px) // 2
-    largest = max(
-        n
-        for n in range(1, 64, 2)
-        if len(PrintedDof(PrintedDofParams(mean_px=n)).weights) // 2 + 1 <= halo
-    )
+    shared = sum(value for _, value in parts.values())
+    blocks = (800 // rows_px) * (800 // columns_px)
+    for name, printed, value, unit in (
+        *((f"bytes of {name}", *values, "bytes") for name, values in parts.items()),
+        ("shared memory", "9728", shared, "bytes"),
+        ("blocks of 800 x 800", "5000", blocks, ""),
+        ("threads of a block", "128", threads, ""),
+    ):
+        why = "of their graphics program"
+        yield row(f"figure 8, {name}", printed, value, unit, why)
+    # the mean filter and (8) reach half its side and one pixel more
+    largest = 2 * ((tall - rows_px) // 2 - 1) + 1
     yield row(
         "section 3.3, size of the mean filter",
         None,
@@ -360,27 +338,28 @@ def _blocks() -> Iterator[Item]:
     )
 
 
-def _blend() -> Iterator[Item]:
+def _blend() -> Items:
     """(9), the factor 2/3 and its border."""
-    over, under = np.full((1, 1, 3), 80.0), np.full((1, 1, 3), 40.0)
-    value = eq9_blend(np.array([[0.25]]), over, under)[0, 0, 0]
-    yield row("equation (9), 80 over 40 with α = 1/4", "50", value)
-    step = np.where(np.arange(8) < 4, 0.0, 1.0)
-    picture = np.repeat(np.repeat(step[None, :, None], 3, 0), 3, 2)
+    over = np.full((1, 1, 3), 80.0)
+    under = np.full((1, 1, 3), 40.0)
+    yield row(
+        "equation (9), 80 over 40 with α = 1/4",
+        "50",
+        eq9_blend(np.array([[0.25]]), over, under)[0, 0, 0],
+    )
+    picture = np.zeros((3, 8, 3))
+    picture[:, 4:] = 1
     half = eq9_blend(np.full((3, 8), 0.5), np.full_like(picture, 0.5), picture)
-    left = np.abs(np.diff(half[1, :, 0])).max()
-    disc = DISC_ROWS.max()
     yield row(
         "equation (9), sharp edge left at α = 1/2",
         "weighted mean",
-        (left, disc),
+        (np.abs(np.diff(half[1, :, 0])).max(), DISC_ROWS.max()),
         "of the step",
         "half of the edge stays as sharp as before; a disc of 3 px steps by no more than"
         " one of its rows holds",
     )
     sharp = sharp_range(AT, F, C)
-    inside = within_depth_of_field(np.array([AT.focus]), sharp, 0.5)[0]
-    outside = within_depth_of_field(np.array([AT.focus + 0.1]), sharp, 0.5)[0]
+    inside, outside = within_depth_of_field(AT.focus + np.array([0, 0.1]), sharp, 0.5)
     yield row(
         "section 3.4, factor inside the depth of field",
         "2/3",
@@ -391,18 +370,18 @@ def _blend() -> Iterator[Item]:
     )
     yield row("section 3.4, factor outside", "1", outside)
     places = np.linspace(sharp[0] - 0.01, sharp[1] + 0.01, 4001)
-    steps = [
-        float(np.abs(np.diff(within_depth_of_field(places, sharp, border))).max())
+    soft, hard = (
+        np.abs(np.diff(within_depth_of_field(places, sharp, border))).max()
         for border in (0.5, 0.0)
-    ]
+    )
     yield row(
         "section 3.4, border of the depth of field",
         "smooth",
         (
-            f"no step (at most {steps[0]:.4f} from one of 4000 places to the next)",
+            f"no step (at most {soft:.4f} from one of 4000 places to the next)",
             "no border",
         ),
         "",
-        f"a hard border would be a step of {steps[1]:.2f}",
-        steps[0] < 0.01,
+        f"a hard border would be a step of {hard:.2f}",
+        soft < 0.01,
     )

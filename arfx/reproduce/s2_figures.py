@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-
 import cv2
 import numpy as np
 
@@ -17,18 +15,11 @@ from arfx.reproduce.rows import (
     PRINTED,
     REFERENCE,
     Figure,
-    Item,
+    Items,
+    eight_bit,
     row,
 )
-from arfx.reproduce.s2_scene import (
-    BALL_M,
-    ball_model,
-    desk,
-    desk_shot,
-    photograph,
-    room_model,
-    under,
-)
+from arfx.reproduce.s2_scene import BALL_M, desk, desk_shot, models, photograph, under
 from arfx.reproduce.work import Shot, Work
 from arfx.stages import STAGES
 from arfx.synth.description import DepthInput
@@ -41,51 +32,44 @@ NO_CAMERA = (
     " both balls are real"
 )
 BALLS_M = {"real": ((-0.13, 0.08, 0.04), 0.04), "virtual": ((0.0, 0.0, BALL_M), BALL_M)}
-Pictures = Mapping[str, np.ndarray]  # of the desk: BEFORE, GAUSSIAN, and the usual ones
+Pictures = dict[str, np.ndarray]
 
 
-def rows(work: Work) -> Iterator[Item]:
+def rows(work: Work) -> Items:
     scene = desk(work)
-    shot = desk_shot(work, work.clip(scene), ball_model(work))
-    made = {
-        BEFORE: shot.renderer.image(shot.up_to("composite")),
-        GAUSSIAN: under(shot, "gaussian").picture(),
-        PRINTED: shot.picture(),
-        CORRECTED: under(shot, CORRECTED).picture(),
-        REFERENCE: photograph(work),
-    }
-    photo = {REFERENCE: made[REFERENCE]}
+    ball, room_model = models(work).values()
+    shot = desk_shot(work, work.clip(scene), ball)
+    made = {**_rendered(shot), REFERENCE: photograph(work)}
     yield from _diagrams()
-    yield row(
-        "figure 4",
-        "photographs with depth of field",
-        (OPEN_LENS, OPEN_LENS),
-        "",
-        NO_CAMERA,
-    )
-    yield Figure("figure 4", "bright points spread over what is dark around them", photo)
+    item = "figure 4"
+    words = "photographs with depth of field"
+    yield row(item, words, (OPEN_LENS, OPEN_LENS), "", NO_CAMERA)
+    title = "bright points spread over what is dark around them"
+    yield Figure(item, title, {REFERENCE: made[REFERENCE]})
     yield from _coordinates(shot, made[BEFORE], np.array(scene.shot[0].path.position_m))
     yield from _steps(shot, made)
     points_m = np.array([ball.position_m for ball in scene.sphere[1:]])
     yield from _points(shot, made, points_m)
     yield from _in_focus(shot, made[BEFORE])
     yield from _out_of_focus(shot, made)
-    bare = work.clip(
-        scene.model_copy(update={"depth": DepthInput(), "samples": 1})
-    )  # no real thing stands before the model
-    room = desk_shot(work, bare, room_model(work))
+    # no real thing stands before the model
+    bare = scene.model_copy(update={"depth": DepthInput(), "samples": 1})
     yield Figure(
         "section 4, all-virtual scene",
         "nothing of the footage is left: desk, wall and both balls are a model",
-        {
-            BEFORE: room.renderer.image(room.up_to("composite")),
-            PRINTED: room.picture(),
-            CORRECTED: under(room, CORRECTED).picture(),
-        },
+        _rendered(desk_shot(work, work.clip(bare), room_model)),
     )
 
 
-def _diagrams() -> Iterator[Item]:
+def _rendered(shot: Shot) -> Pictures:
+    return {
+        BEFORE: shot.renderer.image(shot.up_to("composite")),
+        PRINTED: shot.picture(),
+        CORRECTED: under(shot, CORRECTED).picture(),
+    }
+
+
+def _diagrams() -> Items:
     order = ", ".join(name for name in STAGES if name in ("raster", "composite", "dof"))
     yield row(
         "figure 1",
@@ -105,21 +89,18 @@ def _diagrams() -> Iterator[Item]:
     )
 
 
-def _coordinates(shot: Shot, picture: np.ndarray, camera_m: np.ndarray) -> Iterator[Item]:
+def _coordinates(shot: Shot, picture: np.ndarray, camera_m: np.ndarray) -> Items:
     """The axes of the world, drawn into the picture. camera_m : where the camera stands"""
-    facts, drawn = shot.facts, picture.copy()
-    points = shot.job.scene.camera.project(
-        facts.pose.apply(0.08 * np.vstack([np.zeros(3), np.eye(3)]))
-    )
-    start, *ends = ((round(float(x)), round(float(y))) for x, y in points)
+    pose = shot.facts.pose
+    drawn = picture.copy()
+    ends = pose.apply(0.08 * np.vstack([np.zeros(3), np.eye(3)]))
+    points = np.rint(shot.job.scene.camera.project(ends)).astype(int)
     for end, colour in zip(
-        ends, ((220, 40, 30), (40, 170, 40), (40, 60, 220)), strict=True
+        points[1:], ((220, 40, 30), (40, 170, 40), (40, 60, 220)), strict=True
     ):
-        cv2.line(drawn, start, end, colour, 2, cv2.LINE_AA)
-    found = (
-        "axes from a marker; the camera is"
-        f" {1e3 * np.linalg.norm(facts.pose.inverse().translation_m - camera_m):.1f} mm off"
-    )
+        cv2.line(drawn, points[0], end, colour, 2, cv2.LINE_AA)
+    off_mm = 1e3 * np.linalg.norm(pose.inverse().translation_m - camera_m)
+    found = f"axes from a marker; the camera is {off_mm:.1f} mm off"
     yield row(
         "figure 5",
         "axes from feature points",
@@ -133,18 +114,18 @@ def _coordinates(shot: Shot, picture: np.ndarray, camera_m: np.ndarray) -> Itera
     )
 
 
-def _steps(shot: Shot, made: Pictures) -> Iterator[Item]:
+def _steps(shot: Shot, made: Pictures) -> Items:
     """Figures 6 and 9 to 11: what the printed method keeps and makes on its way."""
     stage = shot.stages["dof"]
     assert isinstance(stage, PrintedDof)
-    run, scene = shot.renderer.run(shot.chain), shot.job.scene
+    run = shot.renderer.run(shot.chain)
+    scene = shot.job.scene
     now = run.layers.view(scene.camera.rect)
     dioptre, a = stage.depth_and_blur(
         now, shot.facts, scene, stage.prepare(scene, "standard")
     )
     coded = SRGB.encode(now[Layer.IMAGE]).astype(np.float32)
-    blurred = _bytes(stage.blurred(coded, dioptre))
-    luminance = coded @ yuv_from_rgb("bt601")[0]
+    blurred = eight_bit(stage.blurred(coded, dioptre))
     yield row(
         "figure 6",
         "depth with blur factor; luminance",
@@ -157,13 +138,9 @@ def _steps(shot: Shot, made: Pictures) -> Iterator[Item]:
     textures = {
         "depth, nearer is brighter": dioptre / dioptre.max(),
         "blur factor a": a,
-        "luminance": luminance,
+        "luminance": coded @ yuv_from_rgb("bt601")[0],
     }
-    yield Figure(
-        "figure 6",
-        "textures",
-        {name: _bytes(np.dstack([t] * 3)) for name, t in textures.items()},
-    )
+    yield Figure("figure 6", "textures", textures)
     yield row(
         "figure 9",
         "the scene before",
@@ -199,21 +176,17 @@ def _steps(shot: Shot, made: Pictures) -> Iterator[Item]:
         " and its blend keeps the sharp picture below the blurred one; the open lens makes"
         " discs that grow with the distance",
     )
-    yield Figure(
-        "figure 11", "sharp and blurred picture blended by (9)", _without_gaussian(made)
-    )
+    yield Figure("figure 11", "sharp and blurred picture blended by (9)", made)
 
 
-def _without_gaussian(pictures: Pictures) -> Pictures:
-    return {name: picture for name, picture in pictures.items() if name != GAUSSIAN}
-
-
-def _points(shot: Shot, made: Pictures, points_m: np.ndarray) -> Iterator[Item]:
+def _points(shot: Shot, made: Pictures, points_m: np.ndarray) -> Items:
     """Figures 12 and 13: the Gaussian filter and the printed method, beside one another."""
     at = shot.job.scene.camera.project(shot.facts.pose.apply(points_m))
+    gaussian = under(shot, "gaussian").picture()
+    made = {BEFORE: made[BEFORE], GAUSSIAN: gaussian, **made}
     area = {name: _spread(picture, at) for name, picture in made.items()}
     words = {name: f"bright points of {px:.0f} px each" for name, px in area.items()}
-    apart = _levels(made[GAUSSIAN], made[REFERENCE])
+    apart = _levels(gaussian, made[REFERENCE])
     yield row(
         "figure 12",
         "Gaussian filter",
@@ -227,7 +200,7 @@ def _points(shot: Shot, made: Pictures, points_m: np.ndarray) -> Iterator[Item]:
         "the Gaussian filter that the paper compares itself with",
         {
             BEFORE: made[BEFORE],
-            "by dof.formula = gaussian": made[GAUSSIAN],
+            "by dof.formula = gaussian": gaussian,
             REFERENCE: made[REFERENCE],
         },
     )
@@ -243,18 +216,19 @@ def _points(shot: Shot, made: Pictures, points_m: np.ndarray) -> Iterator[Item]:
         min(area[PRINTED], area[CORRECTED]) > area[GAUSSIAN],
     )
     pad = 0.06 * made[BEFORE].shape[1]
-    low, high = np.maximum(at.min(0) - pad, 0).astype(int), (at.max(0) + pad).astype(int)
+    low = np.maximum(at.min(0) - pad, 0).astype(int)
+    high = (at.max(0) + pad).astype(int)
     part = np.s_[low[1] : high[1], low[0] : high[0]]
     near = {name: p[part].repeat(2, 0).repeat(2, 1) for name, p in made.items()}
     yield Figure("figure 13", "the bright points, twice as large", near)
 
 
-def _in_focus(shot: Shot, before: np.ndarray) -> Iterator[Item]:
+def _in_focus(shot: Shot, before: np.ndarray) -> Items:
     closed = {
-        name: under(shot, formula, aperture_px=0.4).picture()
-        for name, formula in ((PRINTED, PAPER), (CORRECTED, CORRECTED))
+        PRINTED: under(shot, PAPER, aperture_px=0.4).picture(),
+        CORRECTED: under(shot, CORRECTED, aperture_px=0.4).picture(),
     }
-    changed = [float((picture != before).mean()) for picture in closed.values()]
+    changed = [(picture != before).mean() for picture in closed.values()]
     yield row(
         "figure 14",
         "all in focus, nothing blurred",
@@ -266,16 +240,17 @@ def _in_focus(shot: Shot, before: np.ndarray) -> Iterator[Item]:
     yield Figure("figure 14", "a real and a virtual (blue) ball, all in focus", closed)
 
 
-def _out_of_focus(shot: Shot, made: Pictures) -> Iterator[Item]:
-    camera, before = shot.job.scene.camera, made[BEFORE]
-    kept: dict[str, list[str]] = {name: [] for name in made}
-    for ball, (centre, radius_m) in BALLS_M.items():
-        middle = shot.facts.pose.apply(np.array([centre]))
-        where = camera.project(middle)[0], camera.fx * radius_m / middle[0, 2]
-        for name, picture in made.items():
-            share = _steepest(picture, *where) / _steepest(before, *where)
-            kept[name].append(f"{ball} {100 * share:.0f} %")
-    words = {name: ", ".join(of) for name, of in kept.items()}
+def _out_of_focus(shot: Shot, made: Pictures) -> Items:
+    camera = shot.job.scene.camera
+    words = {}
+    for name, picture in made.items():
+        kept = []
+        for ball, (centre, radius_m) in BALLS_M.items():
+            middle = shot.facts.pose.apply(np.array([centre]))
+            where = camera.project(middle)[0], camera.fx * radius_m / middle[0, 2]
+            share = _steepest(picture, *where) / _steepest(made[BEFORE], *where)
+            kept.append(f"{ball} {100 * share:.0f} %")
+        words[name] = ", ".join(kept)
     yield row(
         "figure 15",
         "both balls blurred alike",
@@ -285,13 +260,9 @@ def _out_of_focus(shot: Shot, made: Pictures) -> Iterator[Item]:
         " As printed outlines stay, since what stands in front does not flow into what is"
         " behind, and the sharp picture shows through the blend",
     )
-    height, width = before.shape[:2]
-    part = np.s_[
-        int(0.4 * height) : int(0.85 * height), int(0.1 * width) : int(0.7 * width)
-    ]
-    near = {
-        name: np.ascontiguousarray(p[part]) for name, p in _without_gaussian(made).items()
-    }
+    y, x = np.array(made[BEFORE].shape[:2])[:, None] * [[0.4, 0.85], [0.1, 0.7]]
+    part = tuple(slice(*of.astype(int)) for of in (y, x))
+    near = {name: np.ascontiguousarray(picture[part]) for name, picture in made.items()}
     yield Figure(
         "figure 15",
         "the same out of focus (the virtual ball has a faint sheen, which the real one"
@@ -300,10 +271,6 @@ def _out_of_focus(shot: Shot, made: Pictures) -> Iterator[Item]:
     )
     yield row("figure 16", "a photograph", (OPEN_LENS, OPEN_LENS), "", NO_CAMERA)
     yield Figure("figure 16", "the same by an open lens", {REFERENCE: near[REFERENCE]})
-
-
-def _bytes(coded: np.ndarray) -> np.ndarray:
-    return np.rint(255 * np.clip(coded, 0, 1)).astype(np.uint8)
 
 
 def _levels(a: np.ndarray, b: np.ndarray) -> float:
@@ -315,14 +282,12 @@ def _spread(picture: np.ndarray, at: np.ndarray) -> float:
     """Pixels of a bright point, on average: those around it that are brighter than the wall
     there.
     """
-    luma, half = (
-        picture @ np.array([0.299, 0.587, 0.114]),
-        round(0.035 * picture.shape[1]),
-    )
+    luma = picture @ [0.299, 0.587, 0.114]
+    half = round(0.035 * picture.shape[1])
     found = []
     for x, y in np.rint(at).astype(int):
         part = luma[max(y - half, 0) : y + half + 1, x - half : x + half + 1]
-        found.append(int((part > np.median(part) + BRIGHTER).sum()))
+        found.append((part > np.median(part) + BRIGHTER).sum())
     return float(np.mean(found))
 
 
@@ -331,9 +296,9 @@ def _steepest(picture: np.ndarray, centre: np.ndarray, radius: float) -> float:
     rows around its middle.
     """
     x, y = np.rint(centre).astype(int)
+    reach = max(round(0.35 * radius), 2)
     found = []
-    for side in (-1, 1):
-        edge, reach = round(x + side * radius), max(round(0.35 * radius), 2)
+    for edge in (round(x - radius), round(x + radius)):
         part = picture[y - reach : y + 1, edge - reach : edge + reach + 1].astype(float)
-        found += list(np.abs(np.diff(part, axis=1)).max((1, 2)))
+        found.append(np.abs(np.diff(part, axis=1)).max((1, 2)))
     return float(np.mean(found))

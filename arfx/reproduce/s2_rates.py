@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterator
 
 from arfx.core.machine import usable_cores
 from arfx.papers import CORRECTED, PAPER
-from arfx.reproduce.rows import Bars, Item, Row, row
-from arfx.reproduce.s2_scene import ball_model, moving_desk, moving_settings, room_model
-from arfx.reproduce.work import Timed, Work, frames_of, median_s
+from arfx.reproduce.rows import Bars, Items, Row, row
+from arfx.reproduce.s2_scene import models, moving_desk, moving_settings
+from arfx.reproduce.work import Timed, Work, median_s
 
 PC_MB = 2048.0
 HERE = (
@@ -18,35 +17,31 @@ HERE = (
 )
 
 
-def rows(work: Work) -> Iterator[Item]:
+def rows(work: Work) -> Items:
     clip = work.clip(moving_desk(work))
-    models = {"augmented": ball_model(work), "all virtual": room_model(work)}
-    timed: dict[tuple[str, str], Timed] = {}
-    for mode, model in models.items():
-        for formula in (PAPER, CORRECTED):
-            timed[mode, formula] = work.timed(
-                clip, settings=moving_settings(model, formula)
-            )
-    augmented = [timed["augmented", f].frames_per_s for f in (PAPER, CORRECTED)]
-    # nothing is filmed and nothing is tracked: the stages alone
-    virtual = [
-        1 / sum(timed["all virtual", f].stage_s.values()) for f in (PAPER, CORRECTED)
-    ]
-    yield from _machine(
-        [t.peak_mb for t in timed.values()],
-        (clip.scene.clip.width, clip.scene.clip.height),
+    size = f"{clip.scene.clip.width}{{}}{clip.scene.clip.height}"
+    own, room = (
+        [
+            work.timed(clip, moving_settings(model, formula))
+            for formula in (PAPER, CORRECTED)
+        ]
+        for model in models(work).values()
     )
+    augmented = [timed.frames_per_s for timed in own]
+    # nothing is filmed and nothing is tracked: the stages alone
+    virtual = [1 / sum(timed.stage_s.values()) for timed in room]
+    yield from _machine(own + room, size.format("*"))
     yield _rate(
         "section 4, all-virtual scene",
         48.0,
         virtual,
-        f"{HERE}. The stages alone, all is a model; {_of_dof(timed, 'all virtual')}",
+        f"{HERE}. The stages alone, all is a model; {_of_dof(room)}",
     )
     yield _rate(
         "section 4, augmented reality, GPU",
         21.0,
         augmented,
-        f"{HERE}. With decoding, tracking and encoding; {_of_dof(timed, 'augmented')}",
+        f"{HERE}. With decoding, tracking and encoding; {_of_dof(own)}",
     )
     yield _rate(
         "section 4, augmented reality, CPU",
@@ -54,9 +49,7 @@ def rows(work: Work) -> Iterator[Item]:
         augmented,
         f"{HERE}; as in the row before",
     )
-    decoding = len(clip.frames()) / median_s(
-        lambda: frames_of(clip.file), work.scaled(3, 1)
-    )
+    decoding = clip.scene.frames / median_s(clip.frames, work.scaled(3, 1))
     for how, printed in (("DirectShow", 16.0), ("the board's own software", 25.0)):
         yield row(
             f"section 4, capture by {how}",
@@ -77,23 +70,19 @@ def rows(work: Work) -> Iterator[Item]:
         "augmented reality, their CPU",
     ]
     series = {"printed": [48.0, 21.0, 14.0]}
-    series |= {
-        name: [virtual[k], augmented[k], augmented[k]]
-        for k, name in enumerate(("printed method", "corrected"))
-    }
+    pairs = zip(virtual, augmented, augmented, strict=True)
+    series |= dict(zip(("printed method", "corrected"), map(list, pairs), strict=True))
     yield Bars(
         "section 4, all-virtual scene",
-        f"rates at {clip.scene.clip.width} x {clip.scene.clip.height}",
+        f"rates at {size.format(' x ')}",
         "fps",
         labels,
         series,
     )
 
 
-def _of_dof(timed: dict[tuple[str, str], Timed], mode: str) -> str:
-    printed, corrected = (
-        1e3 * timed[mode, formula].stage_s["dof"] for formula in (PAPER, CORRECTED)
-    )
+def _of_dof(timed: list[Timed]) -> str:
+    printed, corrected = (1e3 * one.stage_s["dof"] for one in timed)
     return (
         f"depth of field takes {printed:.0f} ms of a frame as printed, {corrected:.0f} ms"
         " corrected"
@@ -104,7 +93,7 @@ def _rate(item: str, printed: float, here: list[float], why: str) -> Row:
     return row(item, printed, here, "fps", why, min(here) >= printed)
 
 
-def _machine(peaks_mb: list[float], size: tuple[int, int]) -> Iterator[Item]:
+def _machine(timed: list[Timed], size: str) -> Items:
     here = f"{platform.machine()}, {usable_cores()} cores"
     yield row(
         "section 4, machine",
@@ -113,20 +102,19 @@ def _machine(peaks_mb: list[float], size: tuple[int, int]) -> Iterator[Item]:
         "",
         "another machine, without a graphics processor",
     )
-    printed, corrected = max(peaks_mb[::2]), max(peaks_mb[1::2])
+    peaks_mb = [max(one.peak_mb for one in timed[k::2]) for k in (0, 1)]
     yield row(
         "section 4, memory of the machine",
         "2 GB",
-        [f"at most {mb:.0f} MB used" for mb in (printed, corrected)],
+        [f"at most {mb:.0f} MB used" for mb in peaks_mb],
         "",
         "the process with all its libraries needs more than the authors' machine had",
-        max(printed, corrected) <= PC_MB,
+        max(peaks_mb) <= PC_MB,
     )
-    used = f"{size[0]}*{size[1]}"
     yield row(
         "section 4, resolution",
         "1280*1024",
-        (used, used),
+        (size, size),
         "",
         "the short form is smaller",
     )

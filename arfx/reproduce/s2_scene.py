@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 
 from arfx.core.settings import converted
-from arfx.papers import CORRECTED, PAPER
+from arfx.papers import PAPER
 from arfx.reproduce.work import Clip, Settings, Shot, Work
 from arfx.run.parameters import parameters, stage_of
 from arfx.synth.description import SceneFile, parse_scene
 
 FOCUS_M, APERTURE_M = 0.38, 0.014  # nearer than both balls
-MEAN_PX = 7  # the largest that Figure 8's block holds
+# the largest mean filter that Figure 8's block holds
+PRINTED = {"formula": "paper", "mean_px": 7}
 BALL_M = 0.035  # radius of the virtual ball, which stands on the middle of the marker
 
 # With bright points before the wall
@@ -128,43 +129,35 @@ def photograph(work: Work) -> np.ndarray:
     """(h, w, 3) uint8 of what a camera with an open lens sees where the virtual ball is a
     real one.
     """
-    samples, parts = work.scaled(8, 4), {**STILL, "lens": OPEN, "ball": BALL}
+    samples = work.scaled(8, 4)
+    parts = {**STILL, "lens": OPEN, "ball": BALL}
     return work.clip(scene_of(work, (400, 320), samples, **parts)).frames()[0]
 
 
 def desk_shot(work: Work, clip: Clip, model: Mapping[str, Any]) -> Shot:
     """The frame with a model and the photograph's lens, as printed."""
-    width, fov = clip.scene.clip.width, np.radians(clip.scene.lens.fov_deg)
-    infinite_px = APERTURE_M * width / 2 / np.tan(fov / 2) / FOCUS_M
-    settings = {
-        "formula": PAPER,
-        "focus": f"{FOCUS_M}m",
-        "aperture_px": float(infinite_px),
-        "mean_px": MEAN_PX,
-    }
-    return work.shot(clip, 0, settings={"model": model, "dof": settings})
+    width = clip.scene.clip.width
+    fov = np.radians(clip.scene.lens.fov_deg)
+    infinite_px = float(APERTURE_M * width / 2 / np.tan(fov / 2) / FOCUS_M)
+    dof = {**PRINTED, "focus": f"{FOCUS_M}m", "aperture_px": infinite_px}
+    return work.shot(clip, {"model": model, "dof": dof})
 
 
 def under(shot: Shot, formula: str, **dof: Any) -> Shot:
     """The same with depth of field under another formula, and with other settings of it."""
-    now, kind = shot.stages["dof"].params, parameters()["dof"][formula]
+    now = shot.stages["dof"].params
+    kind = parameters()["dof"][formula]
     return shot.with_stage(stage_of("dof", converted(now, kind, **dof)))
 
 
-def ball_model(work: Work) -> Mapping[str, Any]:
-    """The section `model` of a blue ball."""
-    return {"file": work.model("blue-ball"), "fit": f"{2 * BALL_M}m"}
-
-
-def room_model(work: Work) -> Mapping[str, Any]:
-    """The section of a model that fills the picture: desk, wall, both balls, all of them
-    virtual.
+def models(work: Work) -> dict[str, dict[str, Any]]:
+    """Sections `model` of a blue ball, and of one that fills the picture: desk, wall, both balls,
+    all of them virtual.
     """
-    return {
-        "file": work.model("desk-with-balls"),
-        "fit": "3m",
-        "offset": ["0m", "0.15m", "-0.01m"],
-    }
+    ball = {"file": work.model("blue-ball"), "fit": f"{2 * BALL_M}m"}
+    offset = ["0m", "0.15m", "-0.01m"]
+    room = {"file": work.model("desk-with-balls"), "fit": "3m", "offset": offset}
+    return {"augmented": ball, "all virtual": room}
 
 
 def moving_desk(work: Work) -> SceneFile:
@@ -176,6 +169,5 @@ def moving_desk(work: Work) -> SceneFile:
 
 
 def moving_settings(model: Mapping[str, Any], formula: str) -> Settings:
-    own = {"mean_px": MEAN_PX} if formula != CORRECTED else {}
     lens = {"focus": f"{FOCUS_M}m", "aperture_px": 40.0, "background_m": 1.2}
-    return {"model": model, "dof": {"formula": formula, **lens, **own}}
+    return {"model": model, "dof": {**lens, **(PRINTED if formula == PAPER else {})}}

@@ -5,7 +5,6 @@ of colour, a resting and a panning camera) is made in `s3_measure`."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
@@ -14,17 +13,29 @@ from arfx.core.layers import Layer
 from arfx.papers import s3_watercolor as paper
 from arfx.reproduce import s3_measure as measure
 from arfx.reproduce import s3_scene as scene
-from arfx.reproduce.rows import BEFORE, CORRECTED, PRINTED, Figure, Item, Row, curves, row
+from arfx.reproduce.rows import (
+    BEFORE,
+    CORRECTED,
+    PRINTED,
+    Figure,
+    Items,
+    Row,
+    curves,
+    row,
+)
 from arfx.reproduce.s3_scene import FLAT, OBJECTS, Shown, corrected, printed
 from arfx.reproduce.work import Work, median_s
-from arfx.stages.watercolor.cells import mean_colours
 from arfx.stages.watercolor.labels import label
 from arfx.stages.watercolor.lines import ALPHA, BETA
 from arfx.stages.watercolor.sites import make_sites, still_field
 from arfx.stages.watercolor.toon import RAMP, tones
 
+CELLS_ALONE = {"toon": False, "line_threshold": 2.0}
 DRAWN = 0.1  # share of the ink from which a line is seen
-BLACK, WHITE, RED, GREEN = (0, 0, 0), (1, 1, 1), (1, 0, 0), (0, 1, 0)
+BLACK = (0, 0, 0)
+WHITE = (1, 1, 1)
+RED = (1, 0, 0)
+GREEN = (0, 1, 0)
 # What (2), (3) and the left side of (4) come to for a step between two colours with alpha =
 # beta = .5 and BT.601
 STEP_VALUES = {
@@ -34,7 +45,7 @@ STEP_VALUES = {
 }
 
 
-def rows(work: Work) -> Iterator[Item]:
+def rows(work: Work) -> Items:
     frame = scene.shown(work)
     yield from frame_rows(frame)
     yield from cell_rows(frame)
@@ -45,9 +56,10 @@ def rows(work: Work) -> Iterator[Item]:
     yield from time_rows(frame, work)
 
 
-def frame_rows(frame: Shown) -> Iterator[Item]:
+def frame_rows(frame: Shown) -> Items:
     seen = [name for name, where in frame.objects().items() if where.any()]
-    item, words = "figure 3, AR frame", f"{', '.join(seen)}, from one model file"
+    item = "figure 3, AR frame"
+    words = f"{', '.join(seen)}, from one model file"
     yield row(
         item,
         "virtual objects in the camera's frame",
@@ -61,16 +73,16 @@ def frame_rows(frame: Shown) -> Iterator[Item]:
     )
 
 
-def cell_rows(frame: Shown) -> Iterator[Item]:
+def cell_rows(frame: Shown) -> Items:
     """3.1.1, and 3.1.2 with cones of one size."""
     rect, (m, n) = frame.layers.rect, scene.cells_of(frame)
-    w, h = rect.width / n, rect.height / m
+    w = rect.width / n
+    h = rect.height / m
     cell_px = float(np.sqrt(w * h))
-    sites = paper.eq1_sites(rect, m, n, 1)
-    ours = make_sites(
-        still_field(rect.width, rect.height, cell_px, 64), 1, 10**6, cell_px
-    )
-    labels, own = paper.cones(sites, np.ones(m * n), rect, m, n), label(ours, rect).first
+    sites, labels = paper.voronoi(np.ones((rect.height, rect.width)), rect, m, n, 1)
+    field = still_field(rect.width, rect.height, cell_px, 64)
+    ours = make_sites(field, 1, 10**6, cell_px)
+    own = label(ours, rect).first
     both = ((sites, labels), (ours, own))
 
     yield _not_stated(
@@ -133,21 +145,20 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
         " an even picture; corrected: integers",
     )
 
-    item, errors = "figure 4, cells in their mean colour", []
-    for found, image in ((labels, frame.image), (own, frame.layers[Layer.IMAGE])):
-        exact, area = measure.exact_means(image, found)
-        mean = mean_colours(image, [found], len(area))[0]
-        errors.append(float(255 * np.abs(mean - exact)[area > 0].max()))
+    item = "figure 4, cells in their mean colour"
     yield row(
         item,
         "the mean of the cell's pixels",
-        errors,
+        [
+            measure.mean_error(frame.image, labels),
+            measure.mean_error(frame.layers[Layer.IMAGE], own),
+        ],
         "grey levels off it at most",
         "",
-        max(errors) < 0.01,
+        below=0.01,
     )
-    made = frame.painted(printed(frame, toon=False, line_threshold=2.0))
-    flat = frame.painted(corrected(cell_px=scene.CELL_PX, toon=False, **FLAT))
+    made = frame.painted(frame.ready(printed(**CELLS_ALONE)))
+    flat = frame.painted(frame.ready(corrected(cell_px=scene.CELL_PX, **FLAT)))
     yield Figure(
         item,
         "cells alone, their size by depth",
@@ -155,7 +166,7 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
     )
 
 
-def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
+def depth_rows(frame: Shown, work: Work) -> Items:
     """3.1.2: the depth buffer decides the cones' size."""
     depth, by_cones, by_density = measure.areas_on_plane(8, work.scaled(10, 2))
     area, covered, equal = measure.small_thing(work.scaled(40, 10))
@@ -200,70 +211,70 @@ def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
     )
 
 
-def toon_rows(frame: Shown) -> Iterator[Item]:
+def toon_rows(frame: Shown) -> Items:
     """3.2: the listing."""
-    p, c, n = printed(frame).params, corrected().params, 20001
-    cosine, up = np.linspace(-1, 1, n), np.array([0, 0, 1.0])
-    normal = np.stack([np.sqrt(1 - cosine**2), 0 * cosine, cosine], -1)[None].astype(
-        np.float32
+    p = printed().params
+    c = corrected().params
+    cosine = np.linspace(-1, 1, 20001)
+    normal = np.stack([np.sqrt(1 - cosine**2), 0 * cosine, cosine], -1).astype(np.float32)
+    one = np.ones((len(cosine), 1), np.float32)
+    up = np.array([0, 0, 1.0])
+    kinds = (
+        paper.toon(one, normal, up, p.toon_thresholds, p.toon_factors)[:, 0],
+        tones(cosine, c.toon_thresholds, c.toon_factors),
     )
-    one = np.ones((1, n, 3), np.float32)
-    hard = paper.toon(one, normal, up, p.toon_thresholds, p.toon_factors)[0, :, 0]
-    soft = tones(cosine, c.toon_thresholds, c.toon_factors)
-    low, high = zip(*(_thresholds(kind, cosine) for kind in (hard, soft)), strict=True)
-    yield _not_stated(
-        "toon listing, first threshold",
-        high[0],
-        high[1],
-        "the line with the first `if` is missing",
-    )
+    low, high = zip(*(_thresholds(kind, cosine) for kind in kinds), strict=True)
+    why = "the line with the first `if` is missing"
+    yield _not_stated("toon listing, first threshold", high[0], high[1], why)
     yield row("toon listing, second threshold", "0.2", low, "n · l")
     for name, text, at in (
         ("first", "1", 1.0),
         ("second", "0.4", 0.35),
         ("third", "0.1", -0.5),
     ):
-        k = int(np.searchsorted(cosine, at - 1e-9))
+        k = np.searchsorted(cosine, at - 1e-9)
         yield row(
             f"toon listing, {name} tone",
             text,
-            [kind[k] for kind in (hard, soft)],
+            [kind[k] for kind in kinds],
             "of the colour",
             tolerance=1e-4,
         )
-    counts = [len(np.unique(tones.round(4))) for tones in (hard, soft)]
     yield row(
         "toon listing, discrete intensities",
         "3",
-        counts,
+        [len(np.unique(kind.round(4))) for kind in kinds],
         "tones",
         f"corrected, a step is a ramp of {RAMP:g} in n · l, so that it does not crawl",
     )
 
-    where, words, more = np.any(list(frame.objects().values()), axis=0), [], []
-    smooth = float(measure.printed_edges(frame.image, p)[where].mean())
-    for stage in (printed(frame), corrected()):
-        toon = float(measure.printed_edges(frame.toon_shaded(stage), p)[where].mean())
-        words.append(f"{toon:.1%} of the objects' pixels; {smooth:.1%} shaded smoothly")
-        more.append(toon > smooth)
-    item, why = "section 3.2, toon in place of Gouraud shading", "a soft step is no edge"
-    yield row(item, "edges that stand out more", words, "", why, all(more))
+    where = np.any(list(frame.objects().values()), axis=0)
+    stages = (printed(), corrected())
+    smooth, *shares = (
+        measure.printed_edges(picture, p)[where].mean()
+        for picture in (frame.image, *map(frame.toon_shaded, stages))
+    )
+    words = [
+        f"{toon:.1%} of the objects' pixels; {smooth:.1%} shaded smoothly"
+        for toon in shares
+    ]
+    item = "section 3.2, toon in place of Gouraud shading"
+    why = "a soft step is no edge"
+    yield row(item, "edges that stand out more", words, "", why, min(shares) > smooth)
 
 
-def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
+def edge_rows(frame: Shown, work: Work) -> Items:
     """3.2: (2) to (4)."""
     for k, (equation, beta) in enumerate(
         (("equation (2)", 1.0), ("equation (3)", 0.0), ("equation (4), left side", 0.5))
     ):
         for step, (left, right, *values) in STEP_VALUES.items():
-            yield row(
-                f"{equation}, {step}",
-                values[k],
-                measure.edge_of(left, right, beta),
-                "α = β = .5",
-                tolerance=2e-4,
-            )
-    p, c = printed(frame).params, corrected().params
+            found = measure.edge_of(left, right, beta)
+            item = f"{equation}, {step}"
+            unit = "α = β = .5"
+            yield row(item, values[k], found, unit, tolerance=2e-4)
+    p = printed().params
+    c = corrected().params
     yield _not_stated("matrix from RGB to YUV", p.yuv, "bt601")
     yield _not_stated("equation (2), alpha", p.alpha, ALPHA)
     yield _not_stated("equation (4), beta", p.beta, BETA)
@@ -279,67 +290,61 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
         " with hysteresis and a ramp",
     )
 
-    item, toon_shaded = "figure 5, edges of the frame", frame.toon_shaded(printed(frame))
-    edges, lines = measure.printed_edges(toon_shaded, p), measure.corrected_lines(frame)
-    outlines = {
-        f"outline of the {name}": (
-            measure.outline(where),
-            "what stands before nearly its own colour is below the threshold; corrected, the"
-            " object's layers are looked at too",
-        )
-        for name, where in frame.objects().items()
-    }
+    item = "figure 5, edges of the frame"
+    toon_shaded = frame.toon_shaded(printed())
+    edges = measure.printed_edges(toon_shaded, p)
+    lines = measure.corrected_lines(frame)
     why = (
-        "what stands before nearly its own colour is below the thresholds; corrected, a"
-        " line that is nowhere strong fades"
+        "what stands before nearly its own colour is below the threshold; corrected, the"
+        " object's layers are looked at too"
     )
-    outlines["outlines of real things"] = frame.real_outlines(), why
-    for name, (where, why) in outlines.items():
-        found = [measure.share_near(where, seen) for seen in (edges, lines > DRAWN)]
-        yield row(
-            f"{item}, {name}",
-            "found",
-            found,
-            "share of it with an edge within 2 px",
-            why,
-            min(found) > 0.95,
-        )
-    black = [seen.mean() for seen in (edges, lines > DRAWN)]
-    words, unit = "outlines of virtual and real things", "share of the frame's pixels"
+    objects = frame.objects().items()
+    outlines = {f"outline of the {name}": measure.outline(own) for name, own in objects}
+    outlines["outlines of real things"] = frame.real_outlines()
+    strong = edges, lines > DRAWN
+    for name, where in outlines.items():
+        if name == "outlines of real things":
+            why = (
+                "what stands before nearly its own colour is below the thresholds; corrected,"
+                " a line that is nowhere strong fades"
+            )
+        near = [measure.share_near(where, seen) for seen in strong]
+        unit = "share of it with an edge within 2 px"
+        yield row(f"{item}, {name}", "found", near, unit, why, min(near) > 0.95)
+    black = [seen.mean() for seen in strong]
+    words = "outlines of virtual and real things"
+    unit = "share of the frame's pixels"
     yield row(item, words, black, unit, "", min(black) > 0)
     drawn = {
         BEFORE: toon_shaded,
         PRINTED: 1.0 - edges,
         CORRECTED: 1 - lines,
-        "outlines by depth": 1.0
-        - np.any([where for where, _ in outlines.values()], axis=0),
+        "outlines by depth": 1.0 - np.any(list(outlines.values()), axis=0),
     }
     yield Figure(item, "of the toon-shaded frame", drawn)
 
 
-def picture_rows(frame: Shown) -> Iterator[Item]:
+def picture_rows(frame: Shown) -> Items:
     """3.3."""
-    stage, rect, (m, n) = printed(frame), frame.layers.rect, scene.cells_of(frame)
+    stage = printed()
     view = frame.view(stage)
-    coded, sites = stage.frame(view), paper.eq1_sites(rect, m, n, view.key)
-    size = paper.at_sites(paper.depth_buffer(view, stage.params.near_m), sites, rect)
-    names, count = paper.named_by_colour(
-        coded, paper.cones(sites, size, rect, m, n), sites, rect
-    )
-    cells = mean_colours(coded, [names], count)[0][names]
+    coded = stage.frame(view)
+    cells = stage.cells(view, coded)
     edges = measure.printed_edges(coded, stage.params)
-    done, made = np.where(edges[..., None], 0, cells), frame.painted(stage)
+    done = np.where(edges[..., None], 0, cells)
+    made = frame.painted(frame.ready(stage))
     item = "figure 6, from the frame to the picture"
     apart = 255 * np.abs(done - made).max()
-    words, unit = "cells, with the edges over them", "grey levels from these steps"
-    yield row(item, words, apart, unit, "", apart < 0.5)
+    words = "cells, with the edges over them"
+    unit = "grey levels from these steps"
+    yield row(item, words, apart, unit, "", below=0.5)
     yield Figure(
         item,
         "the printed steps",
         {"frame": coded, "cells": cells, "edges": 1.0 - edges, "cells and edges": done},
     )
 
-    ours = frame.painted(corrected())
+    ours = frame.painted(frame.ready(corrected()))
     change = [255 * np.abs(a - frame.image).mean() for a in (made, ours)]
     item = "figure 7, watercolour of the frame"
     yield row(
@@ -355,20 +360,18 @@ def picture_rows(frame: Shown) -> Iterator[Item]:
     )
 
 
-def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
+def time_rows(frame: Shown, work: Work) -> Items:
     """What sections 2 and 4 say of time."""
     frames = work.scaled(5, 3)
     # the paper's grain rests on the screen
     cases: tuple[tuple[str, measure.Settings, measure.Settings], ...] = (
-        ("cells", {"toon": False, "line_threshold": 2.0}, {"toon": False, **FLAT}),
+        ("cells", CELLS_ALONE, FLAT),
         ("whole picture", {}, {"grain": 0.0}),
     )
     for name, *settings in cases:
         still = measure.still_frames(frame, frames, *settings)
-        item, unit = (
-            f"section 2, coherence at rest, {name}",
-            "squared error {}, noise 2/255",
-        )
+        item = f"section 2, coherence at rest, {name}"
+        unit = "squared error {}, noise 2/255"
         yield row(
             item,
             "good",
@@ -391,7 +394,7 @@ def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
         )
     rates = [
         1 / median_s(partial(frame.paint_anew, frame.ready(stage)), work.scaled(5, 1))
-        for stage in (printed(frame), corrected())
+        for stage in (printed(), corrected())
     ]
     rect = frame.layers.rect
     yield row(
@@ -422,9 +425,7 @@ def _thresholds(tones: np.ndarray, cosine: np.ndarray) -> tuple[float, float]:
     """Cosines at which the tone is half-way between the lower two and between the upper two
     of three, to .001.
     """
-    low, middle, high = tones[0], tones[np.searchsorted(cosine, 0.35)], tones[-1]
-    first, second = (
-        round(float(cosine[np.searchsorted(tones, (a + b) / 2)]), 3)
-        for a, b in ((low, middle), (middle, high))
-    )
+    levels = np.array([tones[0], tones[np.searchsorted(cosine, 0.35)], tones[-1]])
+    at = np.searchsorted(tones, (levels[1:] + levels[:-1]) / 2)
+    first, second = cosine[at].round(3).tolist()
     return first, second

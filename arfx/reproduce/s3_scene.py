@@ -6,11 +6,12 @@ class is given."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from scipy.ndimage import binary_dilation
 
 from arfx.core.colour import SRGB
 from arfx.core.facts import FrameFacts
@@ -81,8 +82,7 @@ given = [-140, 50]
 """
 
 
-@dataclass(frozen=True, eq=False)
-class Shown:
+class Shown(NamedTuple):
     """layers : that the watercolour reads, and the objects' numbers, of the whole frame
     real : (h, w, 3) uint8, the camera's"""
 
@@ -94,7 +94,7 @@ class Shown:
     @property
     def image(self) -> np.ndarray:
         """(h, w, 3) float32 coded: the frame with the objects."""
-        return SRGB.encode(np.clip(self.layers[Layer.IMAGE], 0, 1)).astype(np.float32)
+        return coded(self.layers[Layer.IMAGE])
 
     def ready(self, stage: Watercolor) -> ReadyStage:
         return ReadyStage.of(stage, self.scene, "standard")
@@ -102,10 +102,9 @@ class Shown:
     def view(self, stage: Watercolor) -> View:
         return self.ready(stage).view(self.layers, self.facts)
 
-    def painted(self, stage: Watercolor, ready: ReadyStage | None = None) -> np.ndarray:
-        """(h, w, 3) float32 coded. ready : of the stage, keeps what frames share"""
-        made = (ready or self.ready(stage)).run(self.layers, self.facts)[Layer.IMAGE]
-        return SRGB.encode(np.clip(np.asarray(made), 0, 1)).astype(np.float32)
+    def painted(self, ready: ReadyStage) -> np.ndarray:
+        """(h, w, 3) float32 coded. ready : keeps what frames share"""
+        return coded(ready.run(self.layers, self.facts)[Layer.IMAGE])
 
     def paint_anew(self, ready: ReadyStage) -> None:
         """For timing."""
@@ -116,17 +115,16 @@ class Shown:
         """(h, w, 3) float32 coded: the frame with the objects toon-shaded by either formula."""
         if isinstance(stage, PrintedWatercolor):
             return stage.frame(self.view(stage))
-        return SRGB.encode(np.clip(stage.with_toon(self.view(stage)), 0, 1)).astype(
-            np.float32
-        )
+        return coded(stage.with_toon(self.view(stage)))
 
     def noisy(self, index: int, sigma: float) -> Shown:
         """The same moment once more, as frame `index` of a resting camera: with other noise."""
         g = np.random.default_rng(index)
-        coded = np.clip(self.image + g.normal(0, sigma, self.image.shape), 0, 1)
-        rect, image = self.layers.rect, SRGB.decode(coded).astype(np.float32)
+        noisy = np.clip(self.image + g.normal(0, sigma, self.image.shape), 0, 1)
+        rect = self.layers.rect
+        image = SRGB.decode(noisy).astype(np.float32)
         layers = Layers(rect, {**self.layers.written, Layer.IMAGE: Pixels(rect, image)})
-        return replace(self, layers=layers, facts=replace(self.facts, index=index))
+        return self._replace(layers=layers, facts=replace(self.facts, index=index))
 
     def objects(self) -> dict[str, np.ndarray]:
         """(h, w) bool of the pixels of each object: the model's parts from left to right."""
@@ -141,9 +139,14 @@ class Shown:
         scene beside the objects.
         """
         depth = self.layers[Layer.REAL_DEPTH]
+        own = self.layers[Layer.COVERAGE] > 0
         farther = cv2.dilate(depth, np.ones((3, 3), np.uint8))
-        own = self.layers[Layer.COVERAGE].astype(np.float32)
-        return (farther > 1.1 * depth) & (cv2.dilate(own, np.ones((9, 9), np.uint8)) == 0)
+        return (farther > 1.1 * depth) & ~binary_dilation(own, np.ones((9, 9)))
+
+
+def coded(linear: np.ndarray | Pixels) -> np.ndarray:
+    """(h, w, 3) float32."""
+    return SRGB.encode(np.clip(np.asarray(linear), 0, 1)).astype(np.float32)
 
 
 def shown(work: Work) -> Shown:
@@ -152,9 +155,8 @@ def shown(work: Work) -> Shown:
     """
     width, height = work.scaled((640, 360), (240, 136))
     clip = work.clip(SCENE.format(width=width, height=height))
-    shot = work.shot(
-        clip, settings={"model": {"file": work.model("group"), "fit": "26cm"}}
-    )
+    model = {"file": work.model("group"), "fit": "26cm"}
+    shot = work.shot(clip, {"model": model})
     layers = shot.renderer.after(shot.up_to("watercolor")[:-1]).view(shot.renderer.window)
     return Shown(layers, shot.facts, shot.job.scene, shot.renderer.original())
 
@@ -165,28 +167,14 @@ def cells_of(shown: Shown) -> tuple[int, int]:
     return max(round(rect.height / CELL_PX), 1), max(round(rect.width / CELL_PX), 1)
 
 
-def printed(shown: Shown, **settings: Any) -> PrintedWatercolor:
-    m, n = cells_of(shown)
-    return PrintedWatercolor(PrintedWatercolorParams(**{"m": m, "n": n, **settings}))
+def printed(**settings: Any) -> PrintedWatercolor:
+    return PrintedWatercolor(PrintedWatercolorParams(cell_px=CELL_PX, **settings))
 
 
 def corrected(**settings: Any) -> Watercolor:
     return Watercolor(WatercolorParams(**settings))
 
 
-FLAT = {  # cells alone
-    **dict.fromkeys(
-        (
-            "wash",
-            "lines",
-            "lightness",
-            "deepest",
-            "edge_darkening",
-            "flow",
-            "wobble_px",
-            "grain",
-        ),
-        0.0,
-    ),
-    "saturation": 1.0,
-}
+EFFECTS = "wash lines lightness deepest edge_darkening flow wobble_px grain"
+# cells alone
+FLAT = {"saturation": 1.0, "toon": False, **dict.fromkeys(EFFECTS.split(), 0.0)}

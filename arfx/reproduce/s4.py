@@ -6,8 +6,6 @@ is what each of its statements claims."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from arfx.analyse.depth.planes import cloud_of, find_planes, scene_planes
@@ -15,20 +13,22 @@ from arfx.analyse.light.surroundings import cube_from_picture
 from arfx.core.camera import Camera
 from arfx.core.colour import SRGB
 from arfx.core.cube import CubeMap, look_up
+from arfx.core.numerics import angle_between, direction_of
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.papers.s4_environment import FACE_PX, mip_level, step3_environment, step3_mipmap
-from arfx.reproduce.rows import BEFORE, CORRECTED, PRINTED, Figure, Item, Row, row
+from arfx.reproduce.rows import BEFORE, CORRECTED, PRINTED, Figure, Items, row
 from arfx.reproduce.s4_cones import cones
 from arfx.reproduce.s4_pictures import on_the_plane, pictures
-from arfx.reproduce.s4_scenes import LAMP, room, settings
+from arfx.reproduce.s4_scenes import LAMP, methods, room
 from arfx.reproduce.s4_volumes import volumes
 from arfx.reproduce.work import Work
 from arfx.stages.gi.health import seam_ratio
 
 SIDE = 16  # texels of an environment's face
+FOLDED = {PRINTED: step3_environment, CORRECTED: cube_from_picture}
 
 
-def rows(work: Work) -> Iterator[Item]:
+def rows(work: Work) -> Items:
     yield from plane()
     yield from volumes(work)
     yield from on_the_plane(work)
@@ -38,16 +38,15 @@ def rows(work: Work) -> Iterator[Item]:
     yield from pictures(work)
 
 
-def plane() -> Iterator[Row]:
+def plane() -> Items:
     """Step 1, on a table of 1.2 m x 0.8 m with a box on it, measured with 3 mm of noise."""
     camera = Camera(160, 120, np.array([[150.0, 0, 79.5], [0, 150, 59.5], [0, 0, 1]]))
-    pose = Pose(
-        rotation_from_euler_deg(180, 0, 0) @ rotation_from_euler_deg(-35, 0, 0),
-        np.array([0.0, 0.0, 1.5]),
-    )
-    y, x = np.mgrid[0:120, 0:160]
-    rays = camera.directions(np.stack([x, y], -1).astype(float))
-    eye, world = pose.inverse().translation_m, rays @ pose.rotation
+    turn = rotation_from_euler_deg(180, 0, 0) @ rotation_from_euler_deg(-35, 0, 0)
+    pose = Pose(turn, np.array([0.0, 0.0, 1.5]))
+    x, y = np.meshgrid(np.arange(160.0), np.arange(120.0))
+    rays = camera.directions(np.stack([x, y], -1))
+    eye = pose.inverse().translation_m
+    world = rays @ turn
     depth = np.full(x.shape, np.inf)
     for height, low, high in (
         (0.0, (-0.6, -0.4), (0.6, 0.4)),
@@ -59,9 +58,10 @@ def plane() -> Iterator[Row]:
     depth += np.random.default_rng(4).normal(0, 0.003, depth.shape)
     cloud = cloud_of(depth, camera)
     assert cloud is not None
-    table, up = find_planes(cloud)[0], pose.rotation[:, 2]
-    angle = np.degrees(np.arccos(min(float(table.normal @ up), 1.0)))
-    lower = float(np.abs(table.offset_m - up @ pose.translation_m)) * 1e3
+    table = find_planes(cloud)[0]
+    up = turn[:, 2]
+    angle = np.degrees(angle_between(table.normal, up))
+    lower = 1e3 * abs(table.offset_m - up @ pose.translation_m)
     off = "the plane that was found is not the table"
     yield row(
         "step 1, the likeliest plane: its normal",
@@ -69,7 +69,7 @@ def plane() -> Iterator[Row]:
         (angle, angle),
         "degrees off",
         off,
-        angle < 0.5,
+        below=0.5,
     )
     yield row(
         "step 1, the likeliest plane: its height",
@@ -77,13 +77,13 @@ def plane() -> Iterator[Row]:
         (lower, lower),
         "mm off",
         off,
-        lower < 3,
+        below=3,
     )
-    away = cloud.points[table.inliers] @ table.normal - table.offset_m
-    after = (
-        cloud.points[table.inliers] - np.outer(away, table.normal)
-    ) @ table.normal - table.offset_m
-    moved, before = (float(np.abs(d).max()) * 1e3 for d in (after, away))
+    points = cloud.points[table.inliers]
+    normal = table.normal
+    away = points @ normal - table.offset_m
+    after = (points - np.outer(away, normal)) @ normal - table.offset_m
+    moved, before = (1e3 * np.abs(d).max() for d in (after, away))
     yield row(
         "step 1, points moved onto the plane and joined to a mesh",
         "moved towards the plane",
@@ -93,42 +93,28 @@ def plane() -> Iterator[Row]:
         moved < 1e-6 < before,
     )
     found = scene_planes([(depth, pose)], camera)[0].real_plane()
-    centre = float(np.linalg.norm(found.world_from_plane.translation_m[:2])) * 1e2
+    centre = 1e2 * np.linalg.norm(found.world_from_plane.translation_m[:2])
     yield row(
         "step 1, where the object stands",
         "in the middle of the plane",
         (centre, centre),
         "cm from the table's middle",
         "the middle of what is seen, moved to where it is well inside",
-        centre < 8,
+        below=8,
     )
 
 
 def panoramas(work: Work) -> Figure:
     """The environments of one picture, all around: its middle column is straight ahead."""
-    frame = work.shot(
-        room(work), 0, settings=settings(work, "cube", "8cm", LAMP)
-    ).renderer
-    elevation, azimuth = np.meshgrid(
-        *(np.radians(np.linspace(-a, a, n)) for a, n in ((90, 120), (180, 240))),
-        indexing="ij",
-    )
-    around = np.stack(
-        [
-            np.sin(azimuth) * np.cos(elevation),
-            np.sin(elevation),
-            np.cos(azimuth) * np.cos(elevation),
-        ],
-        -1,
-    )
+    settings = methods(work, "cube", "8cm", LAMP)[CORRECTED]
+    frame = work.shot(room(work), settings).renderer
+    degrees = np.meshgrid(np.linspace(-180, 180, 240), np.linspace(-90, 90, 120))
+    z, x, y = np.moveaxis(direction_of(*np.radians(degrees)), -1, 0)
+    around = np.stack([x, y, z], -1).reshape(-1, 3)
     pictures = {BEFORE: frame.original()}
-    for name, folded in ((PRINTED, step3_environment), (CORRECTED, cube_from_picture)):
-        radiance = look_up(folded(frame.plate, 64), around.reshape(-1, 3)).reshape(
-            around.shape
-        )
-        pictures[name] = np.rint(255 * SRGB.encode(np.clip(radiance, 0, 1))).astype(
-            np.uint8
-        )
+    for name, folded in FOLDED.items():
+        radiance = look_up(folded(frame.plate, 64), around).reshape(*x.shape, 3)
+        pictures[name] = SRGB.encode(np.clip(radiance, 0, 1))
     return Figure(
         "step 3, seams of the environment",
         "all that is around, out of one picture",
@@ -136,13 +122,13 @@ def panoramas(work: Work) -> Figure:
     )
 
 
-def environment() -> Iterator[Row]:
+def environment() -> Items:
     """Step 3: each third of a picture of nine colours on its face, no change of a constant
     one, seams, levels.
     """
     colours = np.random.default_rng(3).uniform(0.1, 0.9, (3, 3, 3))
     image = np.kron(colours, np.ones((40, 60, 1)))
-    printed, corrected = step3_environment(image, SIDE), cube_from_picture(image, SIDE)
+    folded = [fold(image, SIDE) for fold in FOLDED.values()]
     faces = (
         ("(31), right of the picture on +x", 0, (1, 2)),
         ("(31), left of the picture on -x", 1, (1, 0)),
@@ -152,21 +138,19 @@ def environment() -> Iterator[Row]:
         ("(34), middle of the picture, mirrored, on +z", 5, (1, 1)),
     )
     for words, face, part in faces:
-        off = [np.abs(f[face] - colours[part]).max() for f in (printed, corrected)]
         yield row(
             f"step 3 {words}",
             "that part of the picture",
-            off,
+            [np.abs(f[face] - colours[part]).max() for f in folded],
             "at most off, of 1",
             "the angle from the line of sight is the distance from the picture's middle, so"
             " that no edge of the cube shows as a seam",
-            max(off) < 1e-6,
+            below=1e-6,
         )
     mipmap = step3_mipmap(step3_environment(image, FACE_PX))
-    kept = CubeMap.of(corrected).faces()
     formats = [
         f"{a.shape[-1]} x {a.dtype.itemsize * 8} bit {a.dtype.kind}"
-        for a in (mipmap[0], kept)
+        for a in (mipmap[0], CubeMap.of(folded[1]).faces())
     ]
     yield row(
         "step 3, format of the cube",
@@ -176,31 +160,25 @@ def environment() -> Iterator[Row]:
         "alpha is always 1; floating point holds what is brighter than white",
         formats[0] == "4 x 16 bit u" == formats[1],
     )
-    flat = [
-        np.ptp(f(np.full((90, 120, 3), 0.4), SIDE))
-        for f in (step3_environment, cube_from_picture)
-    ]
+    even = np.full((90, 120, 3), 0.4)
     yield row(
         "step 3, environment of a constant picture",
         "constant, as follows",
-        flat,
+        [np.ptp(fold(even, SIDE)) for fold in FOLDED.values()],
         "largest difference",
         "it is not",
-        max(flat) < 1e-6,
+        below=1e-6,
     )
     y, x = np.mgrid[0:180, 0:240] / 40
-    smooth = np.stack(
-        [np.sin(x + y) / 3 + 0.5, np.cos(y) / 3 + 0.5, np.sin(x) / 3 + 0.5], -1
-    )
-    seam = [seam_ratio(f(smooth, SIDE)) for f in (step3_environment, cube_from_picture)]
+    smooth = np.stack([np.sin(x + y), np.cos(y), np.sin(x)], -1) / 3 + 0.5
     yield row(
         "step 3, seams of the environment",
         "acceptable for the whole surroundings",
-        seam,
+        [seam_ratio(fold(smooth, SIDE)) for fold in FOLDED.values()],
         "steps across edges of the cube / within faces",
         "sides that were cut out of the picture do not meet the mirrored back; the"
         " corrected fold is continuous",
-        max(seam) < 1.5,
+        below=1.5,
     )
     yield row(
         f"step 3, levels of the mip chain of {FACE_PX}² texels a face",

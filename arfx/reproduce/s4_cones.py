@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import partial
-from typing import Literal
 
 import numpy as np
 
-from arfx.core.scene import Scene
+from arfx.core.numerics import direction_of
+from arfx.core.sampling import GOLDEN_RAD
 from arfx.core.stage import JobView, Stage
 from arfx.papers.s4_cones import WIDE_DEG, six_cones
 from arfx.papers.s4_environment import step3_mipmap
 from arfx.papers.s4_gi import PrintedGi, PrintedGiParams, Surfels, wide_cones
-from arfx.reproduce.rows import Row, row
-from arfx.reproduce.s4_scenes import FLAT_LAMP, flat_scene, settings
+from arfx.reproduce.rows import Items, Row, row
+from arfx.reproduce.s4_scenes import flat_with
 from arfx.reproduce.s4_volumes import N, ray, small
 from arfx.reproduce.work import Work
 from arfx.run.summary import picture
@@ -22,12 +21,11 @@ from arfx.stages import STAGES
 from arfx.stages.gi.gloss import mirror_tangent
 from arfx.stages.gi.health import furnace_mean
 
-FURNACE: tuple[Literal[32, 64, 128], ...] = (32, 64, 128)  # voxels a side
 
-
-def cones(work: Work) -> Iterator[Row]:
+def cones(work: Work) -> Items:
     directions, weights, _ = six_cones()
-    narrow, wide = float(np.degrees(np.arctan(mirror_tangent(0.1)))), WIDE_DEG
+    narrow = np.degrees(np.arctan(mirror_tangent(0.1)))
+    wide = WIDE_DEG
     yield row(
         "step 4, half-angle of the mirror cone at a roughness of 0.1",
         "a narrow cone",
@@ -53,10 +51,8 @@ def cones(work: Work) -> Iterator[Row]:
         "not 1",
         abs(total - 1) < 1e-6,
     )
-    z = (np.arange(100_000) + 0.5) / 100_000
-    turn = np.arange(100_000) * np.pi * (3 - np.sqrt(5))
-    flat = np.sqrt(1 - z**2)
-    hemisphere = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], -1)
+    k = np.arange(100_000)
+    hemisphere = direction_of(k * GOLDEN_RAD, np.arcsin((k + 0.5) / len(k)))
     covered = ((hemisphere @ directions.T).max(1) > np.cos(np.radians(wide))).mean()
     yield row(
         "step 4, share of the hemisphere within the wide cones",
@@ -77,14 +73,10 @@ def through() -> Row:
     ceiling = np.argwhere(np.ones((N, N, 1))) + np.array([0, 0, 12])
     made = small(ceiling, 0.5)
     V = np.zeros((len(made.tree.eta), 3), np.float32)
-    at = Surfels(
-        np.array([[8.0, 8.0, 8.0]]),
-        np.array([[0.0, 0.0, 1.0]]),
-        np.array([[0.0, 0.0, -1.0]]),
-    )
-    red, _, _, left = wide_cones(
-        made, V, at, step3_mipmap(np.full((6, 8, 8, 3), 0.5)), np.eye(3)
-    )[0]
+    up = np.array([[0.0, 0.0, 1.0]])
+    at = Surfels(np.full((1, 3), 8.0), up, -up)
+    environment = step3_mipmap(np.full((6, 8, 8, 3), 0.5))
+    red, _, _, left = wide_cones(made, V, at, (environment, np.eye(3)))[0]
     share = red / (0.5 * left)
     return row(
         "step 4, environment through a half opaque ceiling, over what cones let through",
@@ -96,32 +88,30 @@ def through() -> Row:
     )
 
 
-def step_length() -> Iterator[Row]:
+def step_length() -> Items:
     """Through a block of opacity and radiance one half."""
     block = np.argwhere(np.ones((N, N, N)))
-    parts = {
-        k: ray(0.5, block, [[i / k, 0, 1 / k] for i in range(k)], [2.0, 8, 8])
-        for k in (1, 2, 4)
-    }
-    half = [1 - float(r[3]) for r in ray(0.5, block, [[0.0, 0, 0.5]], [2.0, 8, 8])]
-    whole = [1 - float(r[3]) for r in parts[2]]
+    one, two, four, half = (
+        np.array(ray(0.5, block, [[k * length, 0, length] for k in range(count)]))
+        for count, length in ((1, 1.0), (2, 0.5), (4, 0.25), (1, 0.5))
+    )
     yield row(
         "step 4, opacity of half a step where α = 0.5",
         "two of them make one step, as follows",
-        half,
+        1 - half[:, 3],
         "",
         "two make another",
-        max(abs((1 - h) ** 2 - 0.5) for h in half) < 1e-6,
+        abs(half[:, 3] ** 2 - 0.5).max() < 1e-6,
     )
     yield row(
         "step 4, opacity of two half steps where α = 0.5",
         "that of one step, as follows",
-        whole,
+        1 - two[:, 3],
         "",
         "another",
-        max(abs(w - 0.5) for w in whole) < 1e-6,
+        abs(two[:, 3] - 0.5).max() < 1e-6,
     )
-    brighter = [parts[4][k][0] / parts[1][k][0] for k in range(2)]
+    brighter = four[:, 0] / one[:, 0]
     yield row(
         "step 4, light of a voxel that is passed in four steps, over one step",
         "not stated",
@@ -129,39 +119,33 @@ def step_length() -> Iterator[Row]:
         "",
         "radiance counts whole at every step; corrected: in proportion to the step's"
         " opacity",
-        max(brighter) < 1.01,
+        brighter.max() < 1.01,
     )
 
 
-def furnace(work: Work) -> Iterator[Row]:
+def furnace(work: Work) -> Items:
     """A white ball on a white plane in an even light of 1 has to vanish.
 
     The short form has the smallest volume alone.
     """
-    given = settings(work, "ball", "8cm", FLAT_LAMP)
-    scene = work.planned(flat_scene(work), settings=given).scene
-    corrected = furnace_of(STAGES["gi"](), scene)
-    means: list[float] = []
-    for n in FURNACE:
-        if not (means and work.short):
-            means = [
-                furnace_of(PrintedGi(PrintedGiParams(voxels=n, plane_albedo=1.0)), scene),
-                corrected,
-            ]
+    scene = flat_with(work, "ball", "8cm")
+
+    def mean_with(gi: Stage) -> float:
+        pictures = partial(picture, own={"gi": gi})
+        mean = furnace_mean(JobView((), scene, {}, pictures), "standard")
+        assert mean is not None
+        return mean
+
+    corrected = mean_with(STAGES["gi"]())
+    for n in (32, 64, 128):
+        if n == 32 or not work.short:
+            printed = mean_with(PrintedGi(PrintedGiParams(voxels=n, plane_albedo=1.0)))
+        means = np.array([printed, corrected])
         yield row(
             f"step 4, white furnace at {n}³ voxels",
             "1, as follows",
             means,
             "mean radiance",
             "voxels of the plane that hold the ball's foot leak, and its normals are means",
-            max(abs(m - 1) for m in means) < 0.02,
+            abs(means - 1).max() < 0.02,
         )
-
-
-def furnace_of(gi: Stage, scene: Scene) -> float:
-    """Mean radiance of a white model by this stage of indirect light."""
-    mean = furnace_mean(
-        JobView((), scene, {}, partial(picture, own={"gi": gi})), "standard"
-    )
-    assert mean is not None
-    return mean

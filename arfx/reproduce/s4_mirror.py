@@ -23,21 +23,15 @@ def mirrored_room(clip: Clip, shot: Shot, picture: np.ndarray) -> np.ndarray:
     """The picture (h, w, 3) uint8 with the object's pixels as a mirror in the room of the
     clip, whose axes are the marker's.
     """
-    at, world = shot.facts.index, World(clip.scene)
-    low, high = (
-        shot.job.scene.model_corners_m.min(0),
-        shot.job.scene.model_corners_m.max(0),
-    )
-    ball = [
-        *(low + high) / 2,
-        (high - low).max() / 2,
-        *(0.5, 0.5, 0.5),
-        0,
-    ]  # it throws its shadow
-    sky = np.tile(
-        np.asarray(world.room.ambient, float), (2, 4, 1)
-    )  # whatever light of the room comes from no lamp
-    room = world.at(float(world.frame_times_s[at]))
+    world = World(clip.scene)
+    corners = shot.job.scene.model_corners_m
+    low = corners.min(0)
+    high = corners.max(0)
+    room = world.at(float(world.frame_times_s[shot.facts.index]))
+    # it throws its shadow
+    ball = [*(low + high) / 2, (high - low).max() / 2, *(0.5, 0.5, 0.5), 0]
+    # whatever light of the room comes from no lamp
+    sky = np.tile(np.asarray(room.ambient, float), (2, 4, 1))
     room = room._replace(spheres=np.vstack([room.spheres, [ball]]), sky=sky)
     covered = shot.layer(Layer.COVERAGE) > 0.5
     normal, position = (

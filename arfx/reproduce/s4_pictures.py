@@ -6,7 +6,7 @@ short form cones take its place), and for a mirror ball through the whole synthe
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,8 +14,6 @@ import numpy as np
 from arfx.core.layers import Layer
 from arfx.core.stage import level_named
 from arfx.measure.difference import difference, touched
-from arfx.papers import CORRECTED as CORRECTED_FORMULA
-from arfx.papers import PAPER
 from arfx.reproduce.rows import (
     BEFORE,
     CORRECTED,
@@ -23,24 +21,15 @@ from arfx.reproduce.rows import (
     REFERENCE,
     Bars,
     Figure,
-    Item,
-    Row,
+    Items,
     row,
 )
 from arfx.reproduce.s4_mirror import mirrored_room
-from arfx.reproduce.s4_scenes import (
-    FLAT_LAMP,
-    LAMP,
-    Settings,
-    flat_scene,
-    room,
-    settings,
-    under,
-)
-from arfx.reproduce.work import Shot, Work
+from arfx.reproduce.s4_scenes import LAMP, flat_scene, methods, room
+from arfx.reproduce.work import Settings, Shot, Work
 
 
-def pictures(work: Work) -> Iterator[Item]:
+def pictures(work: Work) -> Items:
     red = work.scaled("red-teapot", "red-cube")
     mirror = work.scaled("mirror", "cube")
     matte = {"plane_gloss": 0.0}
@@ -73,26 +62,26 @@ def pictures(work: Work) -> Iterator[Item]:
             " light alone",
         ),
     ):
-        yield from beside_reference(
-            work, item, title, model, settings(work, model, fit, LAMP, **gi), why
-        )
+        settings = methods(work, model, fit, LAMP, **gi)
+        yield from beside_reference(work, item, title, settings, model == "mirror", why)
     yield from rates(work)
 
 
-def on_the_plane(work: Work) -> Iterator[Row]:
+def on_the_plane(work: Work) -> Items:
     """What indirect light alone changes of a grey plane beside a cube: linear light, mean
     of the pixels around the cube.
     """
-    changes = {}
-    for model in ("black-cube", "red-cube"):
-        given = settings(work, model, "8cm", FLAT_LAMP, plane_gloss=0.0)
-        for formula in (PAPER, CORRECTED_FORMULA):
-            shot = work.shot(flat_scene(work), 1, settings=under(work, formula, given))
-            changed = shot.layer(Layer.IMAGE) - without_planes(shot).layer(Layer.IMAGE)
-            changes[model, formula] = changed[ring(shot.layer(Layer.COVERAGE))].mean(0)
-    printed, corrected = (
-        float(changes["red-cube", f] @ [1, -1, 0]) for f in (PAPER, CORRECTED_FORMULA)
+
+    def change(settings: Settings) -> np.ndarray:
+        shot = work.shot(flat_scene(work), settings, 1)
+        changed = shot.layer(Layer.IMAGE) - without_planes(shot).layer(Layer.IMAGE)
+        return np.asarray(changed[ring(shot.layer(Layer.COVERAGE))].mean(0))
+
+    red, black = (
+        [*map(change, methods(work, model, "8cm", plane_gloss=0.0).values())]
+        for model in ("red-cube", "black-cube")
     )
+    printed, corrected = (change @ [1, -1, 0] for change in red)
     yield row(
         "step 2, delta volume: red that a red cube gives the plane",
         "V_Δ = V_ρ - V_μ",
@@ -103,9 +92,7 @@ def on_the_plane(work: Work) -> Iterator[Row]:
         " subtracts it",
         printed < 0,
     )
-    printed, corrected = (
-        float(changes["black-cube", f].mean()) for f in (PAPER, CORRECTED_FORMULA)
-    )
+    printed, corrected = (change.mean() for change in black)
     yield row(
         "step 2, delta volume: what a black cube takes from the plane",
         "the object's shadow is in V_Δ",
@@ -126,22 +113,18 @@ def without_planes(shot: Shot) -> Shot:
 def ring(coverage: np.ndarray) -> np.ndarray:
     """(h, w) bool: pixels beside what is covered."""
     covered = (coverage > 0).astype(np.uint8)
-    wide = cv2.dilate(
-        covered, np.ones((2 * (coverage.shape[0] // 12) + 1,) * 2, np.uint8)
-    )
-    return np.asarray((wide > 0) & (covered == 0))
+    side = 2 * (len(coverage) // 12) + 1
+    return cv2.dilate(covered, np.ones((side, side), np.uint8)) > covered
 
 
 def beside_reference(
-    work: Work, item: str, title: str, model: str, given: Settings, reason: str
-) -> Iterator[Item]:
+    work: Work, item: str, title: str, settings: dict[str, Any], mirror: bool, reason: str
+) -> Items:
     """One frame by both methods and by traced rays; the mean error where the effect touches
     the picture.
     """
-    shots = {
-        name: work.shot(room(work), 1, settings=under(work, formula, given))
-        for name, formula in ((PRINTED, PAPER), (CORRECTED, CORRECTED_FORMULA))
-    }
+    clip = room(work)
+    shots = {name: work.shot(clip, given, 1) for name, given in settings.items()}
     made = {name: shot.picture() for name, shot in shots.items()}
     best = shots[CORRECTED]
     levels = {
@@ -149,33 +132,30 @@ def beside_reference(
         for name, stage in best.job.stages.items()
     }
     made[REFERENCE] = best.renderer.image(best.renderer.chain(levels))
-    if model == "mirror":
-        made[REFERENCE] = mirrored_room(room(work), best, made[REFERENCE])
-    before = shots[PRINTED].renderer.original()
+    if mirror:
+        made[REFERENCE] = mirrored_room(clip, best, made[REFERENCE])
+    before = best.renderer.original()
     where = touched(*((before, picture) for picture in made.values()))
-    off = [
-        difference(made[REFERENCE], made[name], where).mean
-        for name in (PRINTED, CORRECTED)
-    ]
     yield row(
         item,
         title,
-        off,
+        [
+            difference(made[REFERENCE], made[name], where).mean
+            for name in (PRINTED, CORRECTED)
+        ],
         "grey levels from traced rays, mean where anything changes",
         reason,
-        max(off) < 1,
+        below=1,
     )
     yield Figure(item, title, {BEFORE: before, **made})
 
 
-def rates(work: Work) -> Iterator[Item]:
+def rates(work: Work) -> Items:
     """Whole jobs with a teapot."""
-    given = settings(work, work.scaled("red-teapot", "red-cube"), "13cm", LAMP)
-    timed = {
-        f: work.timed(room(work), settings=under(work, f, given))
-        for f in (PAPER, CORRECTED_FORMULA)
-    }
-    size = f"{room(work).scene.clip.width} x {room(work).scene.clip.height}"
+    settings = methods(work, work.scaled("red-teapot", "red-cube"), "13cm", LAMP)
+    clip = room(work)
+    timed = {name: work.timed(clip, given) for name, given in settings.items()}
+    size = f"{clip.scene.clip.width} x {clip.scene.clip.height}"
     printed, corrected = timed.values()
     why = (
         "the paper names real time as its aim, and no rate, picture size or machine; it"
@@ -188,16 +168,17 @@ def rates(work: Work) -> Iterator[Item]:
         f"frames/s at {size}, 64³ voxels",
         why,
     )
-    words, unit = "voxels in the memory of the graphics card", "MB of the whole process"
+    words = "voxels in the memory of the graphics card"
+    unit = "MB of the whole process"
     yield row("memory", words, (printed.peak_mb, corrected.peak_mb), unit, why)
-    stages = sorted({name for t in timed.values() for name in t.stage_s})
+    stages = sorted(printed.stage_s | corrected.stage_s)
     yield Bars(
         "frame rate",
         "time of a frame by stage",
         "ms",
         stages,
         {
-            name: [1e3 * t.stage_s.get(s, 0.0) for s in stages]
-            for name, t in ((PRINTED, printed), (CORRECTED, corrected))
+            name: [1e3 * t.stage_s.get(stage, 0.0) for stage in stages]
+            for name, t in timed.items()
         },
     )

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Any
 
+from arfx.core.scene import Scene
 from arfx.papers import PAPER
+from arfx.reproduce.rows import CORRECTED, PRINTED
 from arfx.reproduce.work import Clip, Work
 
 _FLAT = """
@@ -23,12 +25,12 @@ target_m = [0, 0, "2cm"]
 [[plane]]
 size_m = [3, 3]
 position_m = [0, 0, "-0.2mm"]
-texture = {{ kind = "plain", colour = [0.5, 0.5, 0.5] }}
+texture = { kind = "plain", colour = [0.5, 0.5, 0.5] }
 [[marker]]
 spec = "36h11:3:120mm"
 [light]
 ambient_rgb = [0.4, 0.4, 0.4]
-lamps = [{{ azimuth_deg = 60, elevation_deg = 45, rgb = [0.5, 0.5, 0.5], angular_size_deg = 6 }}]
+lamps = [{ azimuth_deg = 60, elevation_deg = 45, rgb = [0.5, 0.5, 0.5], angular_size_deg = 6 }]
 """
 _ROOM = """
 samples = {samples}
@@ -38,7 +40,7 @@ height = {height}
 [lens]
 fov_deg = 55
 [[shot]]
-frames = {frames}
+frames = 2
 [shot.path]
 kind = "orbit"
 target_m = [0, 0, "3cm"]
@@ -73,46 +75,40 @@ spec = "36h11:3:120mm"
 ambient_rgb = [0.38, 0.39, 0.40]
 lamps = [{{ azimuth_deg = 148, elevation_deg = 52, rgb = [0.42, 0.40, 0.36], angular_size_deg = 6 }}]
 """
-LAMP, FLAT_LAMP = (
-    (148, 52, 0.42, 0.40, 0.36),
-    (60, 45, 0.5, 0.5, 0.5),
-)  # of the two scenes
-Settings = dict[str, dict[str, object]]
+# of the two scenes: azimuth, elevation, R, G, B
+LAMP = [148, 52, 0.42, 0.40, 0.36]
+FLAT_LAMP = [60, 45, 0.5, 0.5, 0.5]
 
 
 def flat_scene(work: Work) -> Clip:
     """A grey plane, a marker, one lamp."""
-    return work.clip(_FLAT.format())
+    return work.clip(_FLAT)
 
 
 def room(work: Work) -> Clip:
-    size = work.scaled(
-        {"width": 480, "height": 270, "frames": 2, "samples": 2},
-        {"width": 128, "height": 72, "frames": 2, "samples": 1},
-    )
-    return work.clip(_ROOM.format(**size))
+    width, height, samples = work.scaled((480, 270, 2), (128, 72, 1))
+    return work.clip(_ROOM.format(width=width, height=height, samples=samples))
 
 
-def settings(
-    work: Work, model: str, fit: str, light: Sequence[float], **gi: object
-) -> Settings:
-    """light : configured, as in the paper: azimuth, elevation, R, G, B of the scene's lamp"""
-    return {
+def methods(
+    work: Work, model: str, fit: str, light: list[float] = FLAT_LAMP, **gi: object
+) -> dict[str, Any]:
+    """Settings by PRINTED and CORRECTED: indirect light by one formula, all else by the corrected
+    one. light : configured, as in the paper: the scene's lamp"""
+    given: dict[str, Any] = {
         "model": {"file": work.model(model), "fit": fit},
-        "gi": {"samples": 32, **gi},
         "pipeline": {
             "stages": ["lightmap", "gi"],
             "quality": work.scaled("standard", "draft"),
         },
-        "light": {"given": list(light)},
+        "light": {"given": light},
     }
+    gi = {"samples": 32, **gi}
+    printed = {**gi, "formula": PAPER, "voxels": work.scaled(64, 32)}
+    return {PRINTED: {**given, "gi": printed}, CORRECTED: {**given, "gi": gi}}
 
 
-def under(work: Work, formula: str, given: Settings) -> Settings:
-    """Indirect light by one formula, all else by the corrected one: only this paper's
-    methods differ.
-    """
-    voxels: dict[str, object] = (
-        {"voxels": work.scaled(64, 32)} if formula == PAPER else {}
-    )  # as many as the other has
-    return {**given, "gi": {**given["gi"], **voxels, "formula": formula}}
+def flat_with(work: Work, model: str, fit: str) -> Scene:
+    """The flat scene with a model."""
+    settings = methods(work, model, fit)[CORRECTED]
+    return work.planned(flat_scene(work), settings).scene

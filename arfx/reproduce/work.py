@@ -1,5 +1,5 @@
-"""Scenes, jobs and times for the papers' modules: synthetic clips, whole jobs under either
-formula, single frames of them.
+"""Scenes, jobs and times for the papers' modules: synthetic clips, whole jobs under any settings,
+single frames of them.
 
 Everything lies in a temporary folder. What two items need is made once."""
 
@@ -8,18 +8,18 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import psutil
 
 from arfx.config.load import load, merge
 from arfx.config.sections import JobConfig
 from arfx.core import interrupt
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
+from arfx.core.light import Light
 from arfx.core.stage import Stage
 from arfx.core.waiting import Notice, Progress
 from arfx.errors import RenderError
@@ -27,7 +27,7 @@ from arfx.measure.steps import Chain, FrameRenderer, open_frames
 from arfx.measure.timing import WALL
 from arfx.media.clip import probe
 from arfx.media.frames import ClipReader
-from arfx.papers import CORRECTED, PAPER
+from arfx.papers import FORMULAS, PAPER
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import open_inputs
 from arfx.run.job import Options, plan_job, process
@@ -38,6 +38,9 @@ from arfx.synth.clip import make_clip
 from arfx.synth.description import SceneFile, parse_scene
 
 Settings = Mapping[str, Mapping[str, Any]]  # of a job file: section, key, value
+DEFAULTS: Settings = {}
+# by the printed methods
+AS_PRINTED: Settings = {name: {"formula": PAPER} for name in FORMULAS[PAPER]}
 # GLB, y up, about one unit wide: teapot, apple and aeroplane of table 1 of Tan, Chen, Sun 2009;
 # teapot, cube and rabbit of figure 5 of Jia, Tang 2013; what shows indirect light, and blur
 MODELS = Path(__file__).with_name("models")
@@ -46,8 +49,7 @@ MODELS = Path(__file__).with_name("models")
 WARM_FRAMES = 2
 
 
-@dataclass(frozen=True)
-class Clip:
+class Clip(NamedTuple):
     """A synthetic clip. folder : clip, camera, model, job.toml and truth (`arfx synth`);
     scene : what it shows
     """
@@ -55,12 +57,10 @@ class Clip:
     folder: Path
     scene: SceneFile
 
-    @property
-    def file(self) -> Path:
-        return self.folder / self.scene.clip.file
-
     def frames(self) -> list[np.ndarray]:
-        return frames_of(self.file)
+        """Every frame, (h, w, 3) uint8 R'G'B'."""
+        with ClipReader(probe(self.folder / self.scene.clip.file)) as reader:
+            return [frame.rgb8() for frame in reader.frames()]
 
 
 class Timed(NamedTuple):
@@ -76,8 +76,7 @@ class Timed(NamedTuple):
     start_mb: float
 
 
-@dataclass(frozen=True)
-class Shot:
+class Shot(NamedTuple):
     """One frame of a planned job, ready to be rendered step by step.
 
     chain : all its steps, at the job's levels
@@ -90,6 +89,10 @@ class Shot:
     @property
     def facts(self) -> FrameFacts:
         return self.renderer.facts
+
+    @property
+    def light(self) -> Light:
+        return self.job.scene.light_of(self.facts)
 
     @property
     def stages(self) -> dict[str, Stage]:
@@ -108,14 +111,15 @@ class Shot:
     def with_stage(self, stage: Stage) -> Shot:
         """The same with this one in place of the job's of its name."""
         steps = ((stage if own.name == stage.name else own, at) for own, at in self.chain)
-        return replace(self, chain=tuple(steps))
+        return self._replace(chain=tuple(steps))
 
     def seconds(self, stage: str, repeats: int = 5) -> float:
         """Median wall-clock time of one stage on this frame; what it prepares and keeps is
         not counted.
         """
         chain = self.up_to(stage)
-        run, out = self.renderer.run(chain), self.renderer.out(chain)
+        run = self.renderer.run(chain)
+        out = self.renderer.out(chain)
         return median_s(lambda: run.rerun(out), repeats)
 
 
@@ -129,7 +133,7 @@ class Work:
     short: bool = False
     progress: Progress = lambda phase, done, total: None
     notice: Notice = lambda message: None
-    _made: dict[str, Any] = field(default_factory=dict)
+    _planned: dict[str, Job] = field(default_factory=dict)
 
     def scaled(self, full: Any, short: Any) -> Any:
         """A size or count, by how much is wanted."""
@@ -141,10 +145,10 @@ class Work:
         The same scene is made once.
         """
         read = parse_scene(scene, "scene") if isinstance(scene, str) else scene
-        name = f"clip-{_digest(read.model_dump_json())}"
-        if not (self.folder / name).exists():
-            make_clip(read, self.folder / name, None, self._checked, truth_pictures=False)
-        return Clip(self.folder / name, read)
+        folder = self.folder / f"clip-{_digest(read.model_dump_json())}"
+        if not folder.exists():
+            make_clip(read, folder, None, self._checked, truth_pictures=False)
+        return Clip(folder, read)
 
     def model(self, name: str) -> str:
         """Path of one of the models beside this module, for settings: {"model": {"file":
@@ -152,50 +156,34 @@ class Work:
         """
         return str(MODELS / f"{name}.glb")
 
-    def planned(
-        self, clip: Clip, formula: str = CORRECTED, settings: Settings | None = None
-    ) -> Job:
+    def planned(self, clip: Clip, settings: Settings = DEFAULTS) -> Job:
         """The job analysed and planned, nothing rendered."""
-        key = f"plan-{_digest(str(clip.folder), formula, settings or {})}"
-        if key not in self._made:
+        key = f"plan-{_digest(str(clip.folder), settings)}"
+        if key not in self._planned:
             folder = JobFolder(self.folder / key)
             folder.open(resume=False)
-            config = _config(
-                clip.folder, formula, settings or {}, self.folder / "out.mkv"
-            )
+            config = _config(clip.folder, settings, self.folder / "out.mkv")
             options = Options(overwrite=True, progress=self.progress, notice=self.notice)
-            self._made[key] = plan_job(open_inputs(config), folder, options)
-        job: Job = self._made[key]
-        return job
+            self._planned[key] = plan_job(open_inputs(config), folder, options)
+        return self._planned[key]
 
-    def shot(
-        self,
-        clip: Clip,
-        index: int = 0,
-        formula: str = CORRECTED,
-        settings: Settings | None = None,
-    ) -> Shot:
+    def shot(self, clip: Clip, settings: Settings = DEFAULTS, index: int = 0) -> Shot:
         """One frame of the clip under these settings.
 
         Raises RenderError where nothing would be rendered in it.
         """
-        return shot_of(self.planned(clip, formula, settings), index)
+        return shot_of(self.planned(clip, settings), index)
 
-    def timed(
-        self, clip: Clip, formula: str = CORRECTED, settings: Settings | None = None
-    ) -> Timed:
+    def timed(self, clip: Clip, settings: Settings) -> Timed:
         """The whole job in a process of its own, so that its memory is its own.
 
         In the short form one frame's stages in this.
         """
         if self.short:
-            shot = self.shot(clip, 0, formula, settings)
+            shot = self.shot(clip, settings)
             seconds = {stage: shot.seconds(stage, 1) for stage in shot.stages}
-            held_mb = psutil.Process().memory_info().rss / 2**20
-            return Timed(1 / sum(seconds.values()), seconds, held_mb, held_mb)
-        timed: Timed = self.apart(
-            timed_job, clip.folder, clip.scene.clip.fps, formula, settings or {}
-        )
+            return Timed(1 / sum(seconds.values()), seconds, peak_mb(), peak_mb())
+        timed: Timed = self.apart(timed_job, clip.folder, clip.scene.clip.fps, settings)
         return timed
 
     def apart(self, function: Callable[..., Any], *arguments: Any) -> Any:
@@ -223,12 +211,6 @@ class Work:
         self.progress(phase, done, total)
 
 
-def frames_of(path: Path) -> list[np.ndarray]:
-    """Every frame of a clip, (h, w, 3) uint8 R'G'B'."""
-    with ClipReader(probe(path)) as reader:
-        return [frame.rgb8() for frame in reader.frames()]
-
-
 def shot_of(job: Job, index: int) -> Shot:
     plan = job.plan.frames[index]
     if not plan.steps:
@@ -248,46 +230,33 @@ def median_s(work: Callable[[], Any], repeats: int = 5) -> float:
     return float(np.median([WALL.of(work) for _ in range(repeats)]))
 
 
-def timed_job(folder: Path, fps: float, formula: str, settings: Settings) -> Timed:
+def timed_job(folder: Path, fps: float, settings: Settings) -> Timed:
     """Runs the job of a clip's folder in the process that it is called in. The clip's first
     frames are processed once before, so that nothing is imported, compiled or loaded while
     time is taken. fps : of the clip"""
-    start_mb = psutil.Process().memory_info().rss / 2**20
-    report: dict[str, Any] = {}
+    start_mb = peak_mb()
+    report = dict[str, Any]()
     for more in ({"input": {"end": f"{(WARM_FRAMES - 0.5) / fps}s"}}, {}):
-        config = _config(
-            folder, formula, merge(settings, more), folder.parent / f"timed-{formula}.mkv"
-        )
+        config = _config(folder, merge(settings, more), folder.parent / "timed.mkv")
         report = process(
             config, Options(overwrite=True, workers=1, notice=lambda message: None)
         )
         interrupt.resume()
-    spent, frames = report["timing"], report["output"]["frames"]
-    seconds = sum(
-        spent[f"{phase}_s"] for phase in ("decode", "analyse", "render", "encode")
-    )
+    spent = report["timing"]
+    frames = report["output"]["frames"]
+    phases = ("decode", "analyse", "render", "encode")
+    seconds = sum(spent[f"{phase}_s"] for phase in phases)
     stages = {
         s["name"]: s["measured_s"] / frames for s in report["stages"] if s["frames_run"]
     }
     return Timed(frames / seconds, stages, peak_mb(), start_mb)
 
 
-def _config(folder: Path, formula: str, settings: Settings, output: Path) -> JobConfig:
-    kinds = parameters()
-    formulas: dict[str, Any] = {
-        name: {"formula": formula}
-        for name, by_formula in kinds.items()
-        if PAPER in by_formula
-    }
-    tree = merge(formulas, settings)
-    return load(
-        folder / "job.toml",
-        merge(tree, {"output": {"path": str(output), "codec": "ffv1"}}),
-        kinds,
-    )
+def _config(folder: Path, settings: Settings, output: Path) -> JobConfig:
+    lossless = {"output": {"path": str(output), "codec": "ffv1"}}
+    return load(folder / "job.toml", merge(settings, lossless), parameters())
 
 
 def _digest(*parts: Any) -> str:
-    return hashlib.sha256(
-        json.dumps(parts, default=str, sort_keys=True).encode()
-    ).hexdigest()[:12]
+    text = json.dumps(parts, default=str, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]

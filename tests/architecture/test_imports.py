@@ -49,9 +49,8 @@ LONG = {
     "arfx/media/frames.py": 428,
     "arfx/media/join.py": 401,
     "arfx/media/output.py": 418,
-    "arfx/reproduce/s1_equations.py": 499,
-    "arfx/reproduce/s2.py": 490,
-    "arfx/reproduce/s3.py": 472,
+    "arfx/reproduce/s1_equations.py": 439,
+    "arfx/reproduce/s3.py": 431,
     "arfx/run/job.py": 477,
     "arfx/synth/description.py": 416,
 }

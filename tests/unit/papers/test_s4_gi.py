@@ -202,7 +202,9 @@ def test_the_environment_counts_by_what_a_cone_lets_through() -> None:
         np.array([[0.0, 0.0, 1.0]]),
         np.array([[0.0, 0.0, -1.0]]),
     )
-    got = wide_cones(made, V, at, step3_mipmap(np.full((6, 8, 8, 3), 0.5)), np.eye(3))[0]
+    got = wide_cones(made, V, at, (step3_mipmap(np.full((6, 8, 8, 3), 0.5)), np.eye(3)))[
+        0
+    ]
     six, weights, tan_half = six_cones()
     left = cone_trace(made, V, cone_steps(tan_half, n), at.position, six[None])[0, :, 3]
     assert weights[0] == pytest.approx(0.25) and weights[1:] == pytest.approx([0.15] * 5)

@@ -10,7 +10,7 @@ import pytest
 
 from arfx.core.numerics import normalise
 from arfx.core.scene import Scene
-from arfx.papers.s4_plane import real_and_virtual, real_scene, step1_mesh
+from arfx.papers.s4_plane import step1_mesh
 from arfx.papers.s4_shadow_maps import Radiance, shadow_maps, step2_radiance
 from arfx.papers.s4_volumes import Volumes, step2_volumes
 from arfx.stages.gi.reference_scene import RayScene
@@ -24,12 +24,7 @@ D, RGB = normalise(np.array([0.6, 0.0, 0.8])), np.array([0.5, 0.4, 0.3])
 def built() -> tuple[Scene, RayScene, RayScene, Volumes]:
     s = on_plane(box(MATT_RED), LAMP)
     mesh = step1_mesh(s, ALBEDO)
-    return (
-        s,
-        RayScene(real_scene(s, mesh)),
-        RayScene(s),
-        step2_volumes(real_and_virtual(s, mesh), s, 32),
-    )
+    return s, RayScene(mesh), RayScene(s), step2_volumes(mesh, s, 32)
 
 
 @cache

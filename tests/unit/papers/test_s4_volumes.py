@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from arfx.papers.s4_cones import cone_trace
-from arfx.papers.s4_plane import real_and_virtual, step1_mesh
+from arfx.papers.s4_plane import step1_mesh
 from arfx.papers.s4_volumes import Volumes, morton, node_below, octree_of, step2_volumes
 from arfx.papers.s4_voxels import Volume
 from tests.unit.stages.gi_scenes import LAMP, MATT_RED, box, on_plane
@@ -28,7 +28,7 @@ def filled(
 
 def scene_volumes(n: int) -> Volumes:
     s = on_plane(box(MATT_RED), LAMP)
-    return step2_volumes(real_and_virtual(s, step1_mesh(s, 0.5)), s, n)
+    return step2_volumes(step1_mesh(s, 0.5), s, n)
 
 
 def traced(

@@ -19,14 +19,14 @@ from tests.unit.stages.gi_scenes import MATT_RED, MATT_WHITE, NIGHT, ball, on_pl
 
 
 def voxels_of(scene: Scene, n: int = 32) -> Voxels:
-    return voxelise(scene, cube_around(scene, n))
+    return voxelise(cube_around(scene, n), scene)
 
 
 @pytest.mark.parametrize("n", [32, 128])
 def test_surface_is_closed_and_where_it_belongs(n: int) -> None:
     s = on_plane(ball(MATT_RED), NIGHT)
     volume = cube_around(s, n)
-    v = voxelise(s, volume)
+    v = voxelise(volume, s)
     centres_m = np.asarray(volume.low_m) + (v.cells + 0.5) * volume.voxel_m
     away = np.linalg.norm(centres_m - [0, 0, 0.06], axis=1)
     assert np.abs(away - 0.06).max() < 1.2 * volume.voxel_m
@@ -54,7 +54,7 @@ def test_triangles_that_are_none_count_for_nothing() -> None:
     bad = Model((Part(vertices, faces, normals, p.material),), up="z")
     placed = on_plane(good, NIGHT)
     volume = cube_around(placed, 32)
-    a, b = voxelise(placed, volume), voxelise(replace(placed, model=bad), volume)
+    a, b = voxelise(volume, placed), voxelise(volume, replace(placed, model=bad))
     assert np.array_equal(a.cells, b.cells) and np.array_equal(a.opacity, b.opacity)
     assert np.array_equal(a.normal, b.normal)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from arfx.errors import RenderError
-from arfx.reproduce.work import Clip, Work
+from arfx.reproduce.work import AS_PRINTED, Clip, Work
 from arfx.synth.description import parse_scene
 
 SCENE = """
@@ -50,12 +50,12 @@ def test_a_clip_is_made_once_for_each_scene(made: tuple[Work, Clip]) -> None:
 
 def test_a_frame_is_rendered_under_either_formula(made: tuple[Work, Clip]) -> None:
     work, clip = made
-    printed, corrected = work.shot(clip, 1, "paper"), work.shot(clip, 1)
+    printed, corrected = work.shot(clip, AS_PRINTED, 1), work.shot(clip, index=1)
     assert printed.job.stages["lightmap"].params.formula == "paper"
     pictures = [shot.picture() for shot in (printed, corrected)]
     assert pictures[0].shape == (96, 160, 3)
     assert np.abs(pictures[0].astype(int) - pictures[1]).max() > 8
-    assert work.planned(clip, "paper") is printed.job
+    assert work.planned(clip, AS_PRINTED) is printed.job
     assert corrected.up_to("raster")[-1][0].name == "raster"
     assert corrected.seconds("raster", 2) > 0
 
