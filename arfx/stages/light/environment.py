@@ -20,14 +20,13 @@ import numpy as np
 
 from arfx.core.compiled import FAST, kernel, line_kernel
 from arfx.core.cube import bordered, face_directions, resampled
-from arfx.core.sampling import frame_about
+from arfx.core.sampling import GOLDEN_RAD, frame_about
 from arfx.core.vectors import mixed, shifted, turned, vector
 
 ROUGHNESSES = (0.0, 0.2, 0.35, 0.55, 0.75, 1.0)  # of the levels
 SIDES = (64, 32, 16, 8, 8, 8)  # texels of a face: about a third of the lobe's width
 SAMPLES = (0, 24, 32, 32, 32, 32)  # of a lobe, of each level
 _COARSEST_PX = 4  # of a face that samples are taken from
-_GOLDEN_RAD = np.pi * (3 - np.sqrt(5))
 
 
 class Environment(NamedTuple):
@@ -96,7 +95,7 @@ def _lobe(roughness: float, samples: int) -> tuple[np.ndarray, np.ndarray, np.nd
     are as large as a sample).
     """
     u = (np.arange(samples) + 0.5) / samples
-    phi = np.arange(samples) * _GOLDEN_RAD
+    phi = np.arange(samples) * GOLDEN_RAD
     alpha2 = roughness**4
     # squared cosine of the microfacet's normal, as GGX spreads it
     half2 = (1 - u) / (1 + (alpha2 - 1) * u)
@@ -117,14 +116,9 @@ def _lobes(
     """(directions (n, 3) of all samples of the lobes about a level's texels, their halvings (n,),
     weights (samples,)); as `_lobe`."""
     lobe, weight, detail = _lobe(roughness, samples)
-    directions = _about(face_directions(side).reshape(-1, 3), lobe).astype(np.float32)
+    axes = face_directions(side).reshape(-1, 3)
+    directions = (lobe @ np.stack([*frame_about(axes), axes], 1)).astype(np.float32)
     return directions.reshape(-1, 3), np.tile(detail, len(directions)), weight
-
-
-def _about(axes: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """(n, k, 3): directions (k, 3) about +z, turned to each of unit axes (n, 3)."""
-    frames = np.stack([*frame_about(axes), axes], 1)
-    return np.asarray(directions @ frames)
 
 
 @kernel(fastmath=FAST, error_model="numpy")

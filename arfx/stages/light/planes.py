@@ -8,6 +8,7 @@ Source: docs/methods/gi.md#delta; bound from the solid angle of the ball around 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -164,16 +165,20 @@ def disc_rect(
     """
     angle = np.arange(32) * np.pi / 16
     ring = 1.02 * radius_m * np.stack([np.cos(angle), np.sin(angle)], -1)
-    eye = scene.world_from_anchor.inverse().apply(pose.inverse().translation_m)
+    camera_from_anchor = pose @ scene.world_from_anchor
     out = EMPTY
-    for axes in planes.axes.astype(float):
-        points = axes[0] + ring[:, :1] * axes[1] + ring[:, 1:] * axes[2]
-        if (eye - axes[0]) @ axes[3] <= 0:
-            continue
-        out = out.union(
-            seen_rect(scene.camera, (pose @ scene.world_from_anchor).apply(points), 1.0)
-        )
+    for axes in _faced(planes, camera_from_anchor):
+        points = camera_from_anchor.apply(axes[0] + ring @ axes[1:3])
+        out = out.union(seen_rect(scene.camera, points, 1.0))
     return out.clip(frame)
+
+
+def _faced(planes: Planes, camera_from_anchor: Pose) -> Iterator[np.ndarray]:
+    """Axes (4, 3) of the planes that the camera is before."""
+    eye = camera_from_anchor.inverse().translation_m
+    for axes in planes.axes.astype(float):
+        if (eye - axes[0]) @ axes[3] > 0:
+            yield axes
 
 
 def mirror_rect(
@@ -184,13 +189,12 @@ def mirror_rect(
 
     tangent : of the lobe's half-angle, by which a rough plane widens the image"""
     corners = scene.world_from_anchor.inverse().apply(scene.model_corners_m)
-    eye = scene.world_from_anchor.inverse().apply(pose.inverse().translation_m)
     camera_from_anchor = pose @ scene.world_from_anchor
     out = EMPTY
-    for axes in planes.axes.astype(float):
+    for axes in _faced(planes, camera_from_anchor):
         normal = axes[3]
         height = (corners - axes[0]) @ normal
-        if (eye - axes[0]) @ normal <= 0 or height.max() <= 0:
+        if height.max() <= 0:
             continue
         mirrored = corners - 2 * np.clip(height, 0, None)[:, None] * normal
         reach = BLUR * tangent * float(height.max())

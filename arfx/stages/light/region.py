@@ -14,9 +14,9 @@ from arfx.core.memo import memo_of
 from arfx.core.scene import Scene
 from arfx.stages.light.beams import Beam, disc_directions
 from arfx.stages.light.caster import Caster, make_caster
+from arfx.stages.light.plane_lookup import PlaneTexture
 from arfx.stages.light.plane_shadow import (
     PlaneLevel,
-    SoftPicture,
     soft_picture,
     soft_pictures,
 )
@@ -52,9 +52,9 @@ class ShadowRegion:
     @property
     def hidden(self) -> float:
         """The most that the object hides of the plane's hemisphere, 0..1."""
-        return float(self.soft.hidden[0].max())
+        return float(self.soft.dark[0].max())
 
-    def _soft_pictures(self, level: PlaneLevel, least: float) -> tuple[SoftPicture, ...]:
+    def _soft_pictures(self, level: PlaneLevel, least: float) -> tuple[PlaneTexture, ...]:
         """What the object takes of the soft light, where that can be more than `least`
         whatever its shape.
         """
@@ -74,7 +74,7 @@ class ShadowRegion:
         return _subdivided(_hull(points)) if len(points) else points
 
     def _soft_outline_m(self, least_hidden: float) -> np.ndarray:
-        dark = np.argwhere(self.soft.hidden[0] > least_hidden)[:, ::-1]
+        dark = np.argwhere(self.soft.dark[0] > least_hidden)[:, ::-1]
         if not len(dark):
             return np.zeros((0, 2))
         # a texel and its neighbours: the coarse picture may miss the border by one

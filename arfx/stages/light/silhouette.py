@@ -23,12 +23,6 @@ from arfx.core.sampling import r2
 COARSE = 8  # texels a side of a cell of the height map
 
 
-def sample_offsets(n: int) -> np.ndarray:
-    """(n, 2) offsets within +-0.5 that fill a texel evenly (`r2`), their mean 0."""
-    offsets = r2(n) - 0.5
-    return offsets - offsets.mean(0)
-
-
 def covered_fraction(
     points: np.ndarray,
     edges: np.ndarray,
@@ -45,7 +39,8 @@ def covered_fraction(
     axes of `across`
     slopes (k, 2) : columns and rows by which a point one texel high is displaced
     """
-    offsets = sample_offsets(len(slopes)) if len(slopes) > 1 else np.zeros((1, 2))
+    offsets = r2(len(slopes)) - 0.5
+    offsets -= offsets.mean(0)
     towards, moved, shifts = (a.astype(np.float32) for a in (directions, slopes, offsets))
     count = _count(points, edges, across, towards, moved, shifts, *shape)
     return np.asarray(count / np.float32(len(slopes)))
@@ -153,18 +148,18 @@ def smoothed(
     points: np.ndarray,
     faces: np.ndarray,
     slope: np.ndarray,
-    radii: tuple[float, float],
+    radii: np.ndarray,
     count: int,
 ) -> np.ndarray:
     """`fraction` (rows, columns) float32 after the boxes.
 
     points (n, 3) float32, faces, as for `covered_fraction`;  slope (2,) of the light's middle
-    radii : columns and rows by which one texel of height opens the penumbra, half its
+    radii (2,) : columns and rows by which one texel of height opens the penumbra, half its
     width;  count : directions used
     """
     # the mean distance of K points on a unit disc is sqrt(pi / K): less leaves steps, more
     # blurs beyond the true penumbra
-    half = np.array(radii) * np.sqrt(np.pi / count) / 2
+    half = radii * np.sqrt(np.pi / count) / 2
     top = float(points[:, 2].max(initial=0.0))
     if top * float(half.max()) <= 0.5:
         return fraction
@@ -183,11 +178,9 @@ def _caster_height(
     """
     rows, columns = -(-shape[0] // COARSE), -(-shape[1] // COARSE)
     h = np.ascontiguousarray(points[:, 2])
-    u = ((points[:, 0] + np.float32(slope[0]) * h + 0.5) / COARSE - 0.5).astype(
-        np.float32
-    )
-    v = ((points[:, 1] + np.float32(slope[1]) * h + 0.5) / COARSE - 0.5).astype(
-        np.float32
+    u, v = (
+        (points[:, k] + np.float32(slope[k]) * h + 0.5) / COARSE - np.float32(0.5)
+        for k in (0, 1)
     )
     height = height_map(u, v, h, faces, rows, columns, np.float32(-1))
     empty = height < 0

@@ -13,7 +13,6 @@ Source: docs/methods/gi.md#environment."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -69,8 +68,6 @@ class SurroundingParts:
 
     def towards(self, other: SurroundingParts, share: float) -> SurroundingParts:
         """The mixture with `share` of the other."""
-        if share == 0:
-            return self
         a, b = np.float32(1 - share), np.float32(share)
         return SurroundingParts(
             a * self.texels + b * other.texels,
@@ -133,30 +130,24 @@ def frame_surroundings(
         else np.round(axes @ up / _UP_STEP) * _UP_STEP
     )
 
-    def parts(name: str | None) -> SurroundingParts:
-        rgba = None if name is None else seen_map(name, scene)
-        cube = _guess_of(guess, light)
-        return parts_of(rgba, cube, cube_up, plane is not None)
+    own = (
+        _soft_shape(light).tobytes()
+        if guess is None
+        else (guess.data, guess.size, plane is None)
+    )
 
     def kept(name: str | None) -> SurroundingParts:
-        own = (
-            _soft_shape(light).tobytes()
-            if guess is None
-            else (guess.data, guess.size, plane is None)
-        )
+        def make() -> SurroundingParts:
+            rgba = None if name is None else seen_map(name, scene)
+            return parts_of(rgba, _guess_of(guess, light), cube_up, plane is not None)
+
         key = name, own, cube_up.tobytes()
-        memo = memo_of(scene)
-        found: SurroundingParts = memo.get(
-            key, partial(parts, name), "surroundings", _KEPT
-        )
+        found: SurroundingParts = memo_of(scene).get(key, make, "surroundings", _KEPT)
         return found
 
-    if seen is None:
-        mixed = kept(None)
-    else:
-        mixed = kept(seen.maps[0])
-        if seen.share > 0:
-            mixed = mixed.towards(kept(seen.maps[1]), seen.share)
+    mixed = kept(None if seen is None else seen.maps[0])
+    if seen is not None and seen.share > 0:
+        mixed = mixed.towards(kept(seen.maps[1]), seen.share)
     plane_rgb = _radiance(np.zeros(3) if plane is None else np.array(plane))
     narrow, wide = brightness(mixed, light, light.soft_radiance(up), plane_rgb)
     return FrameSurroundings(mixed, narrow, wide, axes)
