@@ -10,9 +10,11 @@ from functools import lru_cache
 
 import numpy as np
 
+from arfx.core.facts import FrameFacts
 from arfx.core.memo import memo_of
+from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.stages.light.beams import Beam, disc_directions
+from arfx.stages.light.beams import Beam, FrameLight, disc_directions
 from arfx.stages.light.caster import Caster, make_caster
 from arfx.stages.light.plane_lookup import PlaneTexture
 from arfx.stages.light.plane_shadow import (
@@ -21,6 +23,7 @@ from arfx.stages.light.plane_shadow import (
     soft_pictures,
 )
 from arfx.stages.light.surfels import ObjectRays
+from arfx.stages.viewing import seen_rect
 
 _TEXELS, _SKY = 96, 256
 # Heights around the footprint: a wall as high takes (1 / 2.5)^2 / 4 = 4 % of the
@@ -96,6 +99,32 @@ def shadow_region(scene: Scene) -> ShadowRegion:
         scene.placed_by, lambda: ShadowRegion(scene), "shadow region", _PLACEMENTS
     )
     return region
+
+
+def plane_rect(points_m: np.ndarray, facts: FrameFacts, scene: Scene) -> Rect:
+    """Pixels that hold points (n, 2) of the anchor's plane; the whole frame where some are
+    not before the camera.
+    """
+    points = np.column_stack([points_m, np.zeros(len(points_m))])
+    return seen_rect(
+        scene.camera, facts.pose.apply(scene.world_from_anchor.apply(points)), 1.0
+    )
+
+
+def darkest(light: FrameLight, scene: Scene) -> float:
+    """The largest share of the plane's light, 0..1, that the object can take: every
+    directional light, and of the ambient one what it hides where it hides most."""
+    hidden = min(shadow_region(scene).hidden * unevenness(light), 1.0)
+    return float((light.ambient_fraction * hidden + light.direct_fractions.sum(0)).max())
+
+
+def unevenness(light: FrameLight) -> float:
+    """How many times as bright as its mean over the plane's hemisphere the soft light is at
+    most, as far as pictures hold it.
+    """
+    return min(
+        (1 + float(np.linalg.norm(light.shape))) / (1 + 2 / 3 * light.shape[2]), UNEVEN
+    )
 
 
 def _hull(points: np.ndarray) -> np.ndarray:

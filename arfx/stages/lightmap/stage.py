@@ -37,7 +37,13 @@ from arfx.stages.light.plane_shadow import (
     under_light,
     within_surface,
 )
-from arfx.stages.light.region import ShadowRegion, shadow_region
+from arfx.stages.light.region import (
+    ShadowRegion,
+    darkest,
+    plane_rect,
+    shadow_region,
+    unevenness,
+)
 from arfx.stages.light.soft_visibility import (
     SoftVisibility,
     soft_visibility,
@@ -47,7 +53,6 @@ from arfx.stages.light.soft_visibility import (
 from arfx.stages.light.split_sum import split_sum
 from arfx.stages.light.surroundings import frame_environment
 from arfx.stages.lightmap.coats import add_clear_coat, add_sheen
-from arfx.stages.lightmap.reach import darkest, plane_rect, unevenness
 from arfx.stages.lightmap.self_shadow import (
     depth_map,
     visibility_by_map,
