@@ -22,6 +22,7 @@ from arfx.core.compiled import FAST, kernel, line_kernel
 from arfx.core.cube import bordered, face_directions, resampled
 from arfx.core.sampling import GOLDEN_RAD, frame_about
 from arfx.core.vectors import mixed, shifted, turned, vector
+from arfx.stages.light.planes import halvings
 
 ROUGHNESSES = (0.0, 0.2, 0.35, 0.55, 0.75, 1.0)  # of the levels
 SIDES = (64, 32, 16, 8, 8, 8)  # texels of a face: about a third of the lobe's width
@@ -71,10 +72,8 @@ def prefiltered(cube: np.ndarray) -> np.ndarray:
     if not cube.any():
         return np.zeros((level_slices()[-1].stop, 3), np.float32)
     finest = resampled(np.asarray(cube, np.float32), SIDES[0])
-    halved, sides = [finest], [SIDES[0]]
-    while sides[-1] > _COARSEST_PX:
-        sides.append(sides[-1] // 2)
-        halved.append(halved[-1].reshape(6, sides[-1], 2, sides[-1], 2, 3).mean((2, 4)))
+    halved = halvings(finest, _COARSEST_PX)
+    sides = [level.shape[1] for level in halved]
     source = np.concatenate([_packed(level) for level in halved])
     out = [_packed(finest)]
     levels = zip(SIDES, ROUGHNESSES, SAMPLES, strict=True)
@@ -90,10 +89,12 @@ def _packed(faces: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(bordered(faces).reshape(-1, 3), np.float32)
 
 
-def _lobe(roughness: float, samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(directions (k, 3) about +z, weights (k,) of sum 1, and (k,) the halving whose texels
-    are as large as a sample).
-    """
+@lru_cache(maxsize=len(SIDES))
+def _lobes(
+    side: int, roughness: float, samples: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(directions (n, 3) of all samples of the lobes about a level's texels; (n,) the halving
+    whose texels are as large as a sample; weights (samples,) of sum 1)."""
     u = (np.arange(samples) + 0.5) / samples
     phi = np.arange(samples) * GOLDEN_RAD
     alpha2 = roughness**4
@@ -104,21 +105,12 @@ def _lobe(roughness: float, samples: int) -> tuple[np.ndarray, np.ndarray, np.nd
     density = alpha2 / (4 * np.pi * (half2 * (alpha2 - 1) + 1) ** 2)
     texel_sr = 4 * np.pi / (6 * SIDES[0] ** 2)
     detail = np.clip(0.5 * np.log2(2 / (samples * density * texel_sr)), 0, None)
-    weight = np.clip(z, 0, None) / np.clip(z, 0, None).sum()
-    directions = np.stack([across * np.cos(phi), across * np.sin(phi), z], -1)
-    return directions, weight.astype(np.float32), detail.astype(np.float32)
-
-
-@lru_cache(maxsize=len(SIDES))
-def _lobes(
-    side: int, roughness: float, samples: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(directions (n, 3) of all samples of the lobes about a level's texels, their halvings (n,),
-    weights (samples,)); as `_lobe`."""
-    lobe, weight, detail = _lobe(roughness, samples)
+    weight = np.clip(z, 0, None)
+    lobe = np.stack([across * np.cos(phi), across * np.sin(phi), z], -1)
     axes = face_directions(side).reshape(-1, 3)
     directions = (lobe @ np.stack([*frame_about(axes), axes], 1)).astype(np.float32)
-    return directions.reshape(-1, 3), np.tile(detail, len(directions)), weight
+    details = np.tile(detail.astype(np.float32), len(axes))
+    return directions.reshape(-1, 3), details, (weight / weight.sum()).astype(np.float32)
 
 
 @kernel(fastmath=FAST, error_model="numpy")

@@ -10,7 +10,7 @@ Cost: O(silhouettes x (edges + texels)). Source: docs/methods/light.md#shadow.""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -206,17 +206,21 @@ def beam_texture(
 
 
 def within_surface(
-    texture: PlaneTexture, surface_m: tuple[float, float, float, float] | None
-) -> PlaneTexture:
+    textures: Iterable[PlaneTexture], surface_m: tuple[float, float, float, float] | None
+) -> list[PlaneTexture]:
     """The same, with nothing beyond the surface (x0, y0, x1, y1), which ends within a texel.
 
     None = unlimited"""
     if surface_m is None:
-        return texture
-    pitch = float(np.sqrt(abs(1 / np.linalg.det(texture.texel_from_m[:, :2]))))
-    inside = _inside_m(texel_places(texture), surface_m)
-    share = np.clip(inside / pitch + 0.5, 0, 1)
-    return PlaneTexture((texture.dark * share).astype(np.float32), texture.texel_from_m)
+        return list(textures)
+    out = []
+    for texture in textures:
+        matrix = texture.texel_from_m
+        pitch = float(np.sqrt(abs(1 / np.linalg.det(matrix[:, :2]))))
+        inside = _inside_m(texel_places(texture), surface_m)
+        share = np.clip(inside / pitch + 0.5, 0, 1)
+        out.append(PlaneTexture((texture.dark * share).astype(np.float32), matrix))
+    return out
 
 
 def plane_shadow_texture(

@@ -278,12 +278,17 @@ def filled(radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray) -> np
     return out
 
 
+def halvings(texels: np.ndarray, least: int) -> list[np.ndarray]:
+    """(p, n, n, c) and the means of four texels each, down to `least` texels a side."""
+    levels = [texels]
+    while (n := levels[-1].shape[1] // 2) >= least:
+        levels.append(levels[-1].reshape(len(texels), n, 2, n, 2, -1).mean((2, 4)))
+    return levels
+
+
 def mip_chain(radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(p, texels, 3) float32 and (levels, 2) int64 (offset, side): halved down to one texel."""
-    p, levels = len(radiance), [radiance]
-    while levels[-1].shape[1] > 1:
-        n = levels[-1].shape[1] // 2
-        levels.append(levels[-1].reshape(p, n, 2, n, 2, 3).mean((2, 4)))
+    p, levels = len(radiance), halvings(radiance, 1)
     sides = np.array([level.shape[1] for level in levels], np.int64)
     offsets = np.cumsum(sides**2) - sides**2
     flat = np.concatenate([level.reshape(p, -1, 3) for level in levels], 1)

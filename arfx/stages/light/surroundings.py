@@ -230,11 +230,13 @@ def seen_map(name: str, scene: Scene) -> np.ndarray:
             "analyse the clip again",
         )
     rgba = np.asarray(scene.environment_maps[name], np.float32)
-    if not np.isfinite(rgba).all() or rgba.min() < 0:
-        raise RenderError(
-            "facts: an environment map holds values that are not finite and >= 0"
-        )
-    return resampled(rgba, SIDES[0])
+    return resampled(_checked(rgba, "an environment map"), SIDES[0])
+
+
+def _checked(radiance: np.ndarray, name: str) -> np.ndarray:
+    if not np.isfinite(radiance).all() or (radiance < 0).any():
+        raise RenderError(f"facts: {name} holds values that are not finite and >= 0")
+    return radiance
 
 
 def checked_faces(environment: CubeMap) -> np.ndarray:
@@ -242,12 +244,7 @@ def checked_faces(environment: CubeMap) -> np.ndarray:
 
     Raises RenderError for values that are not finite and >= 0.
     """
-    cube = environment.faces().astype(float)
-    if not np.isfinite(cube).all() or (cube < 0).any():
-        raise RenderError(
-            "facts: the environment holds values that are not finite and >= 0"
-        )
-    return cube
+    return _checked(environment.faces().astype(float), "the environment")
 
 
 def above_horizon(size: int, up: np.ndarray) -> np.ndarray:

@@ -263,19 +263,17 @@ class Lightmap(Stage):
             or strength * darkest(light, scene) <= self._shows_from
         ):
             return Pixels(view.out, neutral(Layer.SHADOW, view.out))
-        memo, surface_m = view.memo.of_light, scene.surface_m
+        memo = view.memo.of_light
 
         def textures(
             key: Beam | tuple[float, ...],
             make: Callable[[], Iterable[PlaneTexture]],
             kind: str = "",
-        ) -> tuple[PlaneTexture, ...]:
+        ) -> list[PlaneTexture]:
             """Kept by what casts the shadow, within the surface."""
-
-            def within() -> tuple[PlaneTexture, ...]:
-                return tuple(within_surface(texture, surface_m) for texture in make())
-
-            kept: tuple[PlaneTexture, ...] = memo.get(("plane", key), within, kind)
+            kept: list[PlaneTexture] = memo.get(
+                ("plane", key), lambda: within_surface(make(), scene.surface_m), kind
+            )
             return kept
 
         shape, caster = light.shape, prepared.region.caster
