@@ -135,6 +135,13 @@ def quantised(direction: np.ndarray, size_deg: float) -> Beam:
     return Beam(triple(d), round(size_deg / SIZE_STEP_DEG) * SIZE_STEP_DEG)
 
 
+def rim_directions(beam: Beam, count: int, radius: float = 1.0) -> np.ndarray:
+    """(1 + count, 3) `disc_directions` to the middle of the disc, then around it."""
+    angles = 2 * np.pi / count * np.arange(count)
+    rim = radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    return disc_directions(beam, np.concatenate([np.zeros((1, 2)), rim]))
+
+
 def disc_directions(
     beam: Beam, points: np.ndarray, over_plane: bool = True
 ) -> np.ndarray:

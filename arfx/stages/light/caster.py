@@ -48,6 +48,11 @@ class Caster:
     facet_slope: float
     opacity: float = 1.0
 
+    def cast(self, towards: np.ndarray) -> np.ndarray:
+        """(k n, 2) metres on the plane: the outline's shadows by lights in directions (k, 3)."""
+        slopes = towards[:, None, :2] / towards[:, None, 2:]
+        return (self.outline[:, :2] - slopes * self.outline[:, 2:]).reshape(-1, 2)
+
 
 def make_caster(scene: Scene) -> Caster:
     """All parts of the scene's model together, less those that are less than half as opaque

@@ -24,6 +24,7 @@ from arfx.core.sampling import GOLDEN_RAD, frame_about
 from arfx.core.vectors import mixed, shifted, turned, vector
 from arfx.stages.light.planes import halvings
 
+_F = np.float32
 ROUGHNESSES = (0.0, 0.2, 0.35, 0.55, 0.75, 1.0)  # of the levels
 SIDES = (64, 32, 16, 8, 8, 8)  # texels of a face: about a third of the lobe's width
 SAMPLES = (0, 24, 32, 32, 32, 32)  # of a lobe, of each level
@@ -138,7 +139,7 @@ def radiance(
     low = levels[k] * levels[k]
     part = (roughness * roughness - low) / (levels[k + 1] * levels[k + 1] - low)
     in_cube = turned(turn, direction)
-    return look_up(texels, sides, starts, np.float32(k) + part, in_cube)
+    return look_up(texels, sides, starts, _F(k) + part, in_cube)
 
 
 @line_kernel(fastmath=FAST, error_model="numpy")
@@ -146,32 +147,32 @@ def look_up(texels, sides, starts, level, direction):  # pragma: no cover - comp
     """(r, g, b) in a direction of any length, the cube's axes; linear between levels, the
     last beyond them.
     """
-    zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
+    zero, one, half = _F(0), _F(1), _F(0.5)
     x, y, z = direction
     ax, ay, az = abs(x), abs(y), abs(z)
     if ax >= ay and ax >= az:
-        s = one / max(ax, np.float32(1e-20))
+        s = one / max(ax, _F(1e-20))
         face, u, v = 0 if x > zero else 1, -z * s, y * s
     elif ay >= az:
-        s = one / max(ay, np.float32(1e-20))
+        s = one / max(ay, _F(1e-20))
         face, u, v = 2 if y > zero else 3, x * s, -z * s
     else:
-        s = one / max(az, np.float32(1e-20))
+        s = one / max(az, _F(1e-20))
         face, u, v = 4 if z > zero else 5, x * s, y * s
-    last = np.float32(sides.shape[0] - 1)
+    last = _F(sides.shape[0] - 1)
     level = min(max(level, zero), last)
     first = min(int(level), sides.shape[0] - 2)
-    part = level - np.float32(first)
+    part = level - _F(first)
     light = zero, zero, zero
     for q in range(2):
         share = part if q else one - part
         if share <= zero:
             continue
         side, start = sides[first + q], starts[first + q]
-        scale = half * np.float32(side)
+        scale = half * _F(side)
         column, row = (u + one) * scale + half, (v + one) * scale + half
         i, j = min(max(int(column), 0), side), min(max(int(row), 0), side)
-        fc, fr = column - np.float32(i), row - np.float32(j)
+        fc, fr = column - _F(i), row - _F(j)
         near = np.uintp(start + (face * (side + 2) + j) * (side + 2) + i)
         below = near + np.uintp(side + 2)
         top = mixed(texels[near], texels[near + np.uintp(1)], fc)

@@ -16,7 +16,8 @@ from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.stages.viewing import GRID_PX
 
-_LEAST_LIGHT = np.float32(1e-6)  # share of a plane's light under which it counts as none
+_F = np.float32
+_LEAST_LIGHT = _F(1e-6)  # share of a plane's light under which it counts as none
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,8 +99,8 @@ def shadow_ratio(
         part = ambient.astype(np.float32)[:, None, None]
         taken /= np.maximum(part + (1 - part) * lamps_left, _LEAST_LIGHT)
     ratio = np.empty((height, width, 3), np.float32)
-    rise = np.float32(0.5 / max(faint, 1e-6))
-    _write_ratio(ratio, taken, np.float32(faint), rise, np.float32(strength))
+    rise = _F(0.5 / max(faint, 1e-6))
+    _write_ratio(ratio, taken, _F(faint), rise, _F(strength))
     return ratio
 
 
@@ -118,10 +119,10 @@ def _add_texture(
     cells = nodes.shape[2] - 1
     line = np.empty((3, cells + 1), np.float32)
     moved = np.empty((3, cells * GRID_PX), np.float32)
-    zero, step, one = np.float32(0), np.float32(1.0 / GRID_PX), np.uintp(1)
-    last_u, last_v = np.float32(columns - 1.01), np.float32(rows - 1.01)
+    zero, step, one = _F(0), _F(1.0 / GRID_PX), np.uintp(1)
+    last_u, last_v = _F(columns - 1.01), _F(rows - 1.01)
     for j in range(height):
-        cell_row, below_row = (y0 + j) // GRID_PX, np.float32((y0 + j) % GRID_PX) * step
+        cell_row, below_row = (y0 + j) // GRID_PX, _F((y0 + j) % GRID_PX) * step
         for k in range(3):
             above, below = nodes[k, cell_row], nodes[k, cell_row + 1]
             for i in range(cells + 1):
@@ -130,7 +131,7 @@ def _add_texture(
                 first, left = np.uintp(q * GRID_PX), line[k, q]
                 rise = line[k, q + 1] - left
                 for i in range(GRID_PX):
-                    moved[k, first + np.uintp(i)] = left + np.float32(i) * step * rise
+                    moved[k, first + np.uintp(i)] = left + _F(i) * step * rise
         u, v, z = moved[0, x0 : x0 + width], moved[1, x0:], moved[2, x0:]
         for i in range(width):
             meets = z[i] < zero
@@ -141,7 +142,7 @@ def _add_texture(
             if not (zero < u[i] < last_u and zero < v[i] < last_v):
                 continue
             column, row = np.int32(u[i]), np.int32(v[i])
-            across, down = u[i] - np.float32(column), v[i] - np.float32(row)
+            across, down = u[i] - _F(column), v[i] - _F(row)
             a, b = np.uintp(column), np.uintp(row)
             value = zero
             for c in range(channels):
@@ -161,7 +162,7 @@ def _write_ratio(out, taken, faint, rise, strength):  # pragma: no cover - compi
     loses most.
     """
     _, height, width = taken.shape
-    zero, one, three = np.float32(0), np.float32(1), np.float32(3)
+    zero, one, three = _F(0), _F(1), _F(3)
     shown = np.empty(width, np.float32)
     for j in range(height):
         r, g, b = taken[0, j], taken[1, j], taken[2, j]

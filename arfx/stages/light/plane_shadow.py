@@ -21,7 +21,7 @@ from arfx.core.numerics import divide, normalise
 from arfx.core.parallel import parallel_map
 from arfx.core.sampling import disc, hemisphere
 from arfx.errors import RenderError
-from arfx.stages.light.beams import Beam, disc_directions
+from arfx.stages.light.beams import Beam, disc_directions, rim_directions
 from arfx.stages.light.caster import Caster
 from arfx.stages.light.plane_lookup import PlaneTexture
 from arfx.stages.light.silhouette import covered_fraction, smoothed
@@ -142,8 +142,8 @@ def soft_pictures(
     """`soft_picture` of all that shows, and of the contact, which add up to one."""
 
     def make(box: tuple[float, ...] | None) -> PlaneTexture:
-        corners = (low, high) if box is None else np.reshape(box, (2, 2))
-        picture = soft_picture(caster, *corners, level.texels, level.sky)
+        first, last = (low, high) if box is None else np.reshape(box, (2, 2))
+        picture = soft_picture(caster, first, last, level.texels, level.sky)
         if box is None:
             for part in picture.dark:
                 border = cv2.BORDER_REPLICATE
@@ -179,20 +179,16 @@ def beam_texture(
 
     It lies along its light, so that a long shadow wastes no texels and its penumbra is a
     box in rows and columns."""
-    angles = np.arange(8) * np.pi / 4
-    rim = np.column_stack([np.cos(angles), np.sin(angles)])
-    outer = disc_directions(beam, np.concatenate([np.zeros((1, 2)), rim]))
+    outer = rim_directions(beam, 8)
     away = normalise(-outer[0, :2])
     if not away.any():
         away = np.array([1.0, 0.0])
     axes = np.stack([away, [-away[1], away[0]]])  # column axis falls away from the light
     slopes = -(outer[:, :2] @ axes.T) / outer[:, 2:]
-    if box is None:
-        footprint = caster.outline[:, :2] @ axes.T
-        spread = footprint[None] + slopes[:, None] * caster.outline[None, :, 2:]
-        spread = spread.reshape(-1, 2)
-    else:
-        spread = np.array([[x, y] for x in box[::2] for y in box[1::2]]) @ axes.T
+    spread = caster.cast(outer)
+    if box is not None:
+        spread = np.array([[x, y] for x in box[::2] for y in box[1::2]])
+    spread = spread @ axes.T
     low, high = spread.min(0), spread.max(0)
     points, shape, matrix = _grid(caster, low, high, level.texels, 2 * _MARGIN, axes)
     # of a lamp without a size: shifted sample points alone, antialiased

@@ -27,12 +27,10 @@ from arfx.stages.viewing import seen_rect
 # Half a step of an sRGB code c is this share of its linear light or more: (2.4 / (c +
 # .055)) x step, least at c = 1.
 SHOWS = HALF_GREY * 2.4 / 1.055
-# of markers, whose poses are that uncertain: an edge between two halves of one wall would be seen
-_SAME_PLANE_M, _SAME_COSINE = 0.02, 0.99
-_SAME_MEASURED_M, _SAME_MEASURED_COSINE = (
-    0.03,
-    0.985,
-)  # of planes that are measured as depth
+# Least cosine of two normals, and most metres between the planes, that make them one: of
+# markers, whose poses are that uncertain (an edge between two halves of one wall would be
+# seen), and of planes that are measured as depth.
+_SAME_MARKER, _SAME_MEASURED = (0.99, 0.02), (0.985, 0.03)
 SAME_DEPTH = 0.03  # of the distance: what was measured off by more is not the plane
 # a rough plane's mirror image is wider by this share of the object's height, times the
 # lobe's tangent
@@ -95,16 +93,9 @@ def planes_of(scene: Scene) -> Planes:
     centre, radius = bounding_ball(scene)
     axes = [np.array([[centre[0], centre[1], 0.0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])]
     bounds = [np.array([-ENDLESS, -ENDLESS, ENDLESS, ENDLESS])]
-    known: list[tuple[Pose, RealPlane | None, float, float]]
-    known = [
-        (pose, None, _SAME_COSINE, _SAME_PLANE_M)
-        for pose in scene.world_from_marker.values()
-    ]
-    known += [
-        (p.world_from_plane, p, _SAME_MEASURED_COSINE, _SAME_MEASURED_M)
-        for p in scene.real_planes
-    ]
-    for pose, measured, cosine, apart_m in known:
+    markers = ((pose, None, *_SAME_MARKER) for pose in scene.world_from_marker.values())
+    real = ((p.world_from_plane, p, *_SAME_MEASURED) for p in scene.real_planes)
+    for pose, measured, cosine, apart_m in (*markers, *real):
         m = anchor_from_world @ pose
         n, o = m.rotation[:, 2], m.translation_m
         same = [

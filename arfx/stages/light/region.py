@@ -14,7 +14,7 @@ from arfx.core.facts import FrameFacts
 from arfx.core.memo import memo_of
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.stages.light.beams import Beam, FrameLight, disc_directions
+from arfx.stages.light.beams import Beam, FrameLight, rim_directions
 from arfx.stages.light.caster import Caster, make_caster
 from arfx.stages.light.plane_lookup import PlaneTexture
 from arfx.stages.light.plane_shadow import (
@@ -87,11 +87,7 @@ class ShadowRegion:
         return (texels - matrix[:, 2]) / np.diag(matrix[:, :2])
 
     def _beam_outline_m(self, beam: Beam) -> np.ndarray:
-        angle = np.arange(12) * np.pi / 6
-        rim = _RIM * np.column_stack([np.cos(angle), np.sin(angle)])
-        towards = disc_directions(beam, np.concatenate([np.zeros((1, 2)), rim]))
-        p, slopes = self.caster.outline, towards[:, :2] / towards[:, 2:]
-        return _hull((p[None, :, :2] - slopes[:, None] * p[None, :, 2:]).reshape(-1, 2))
+        return _hull(self.caster.cast(rim_directions(beam, 12, _RIM)))
 
 
 def shadow_region(scene: Scene) -> ShadowRegion:

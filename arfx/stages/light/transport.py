@@ -92,6 +92,7 @@ class Transport:
         )
         weights = self.surfels.area * np.maximum(seen, _LEAST_SEEN)
         self.grid = SurfaceGrid(points, normals, weights, level.cells)
+        self._node_count = int(np.prod(self.grid.shape))
         self.occluded = self.grid.nodes(met[:, None])
         self.colours = self.grid.nodes(self.surfels.albedo)
         everything = self._node_count + len(self.texels) + 6 * SKY * SKY
@@ -112,10 +113,6 @@ class Transport:
             self._without = self._shares(row, behind, shape)
         shares = np.bincount(row[nearer], minlength=count) / level.rays
         self.hidden = shares.reshape(-1, side, side)
-
-    @property
-    def _node_count(self) -> int:
-        return int(np.prod(self.grid.shape))
 
     def _met(self, traced: Iterable[Hits], own: np.ndarray | None) -> list[np.ndarray]:
         """Of every ray, (rays,) each: its place's row; the column of what it meets, and of

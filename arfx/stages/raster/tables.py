@@ -30,7 +30,6 @@ SLOTS = tuple(name for name in TEXTURE_SLOTS if name != "clearcoat_normal_textur
 ) = range(len(SLOTS) + 2)
 _MODES = {OPAQUE: 0, MASK: 1, BLEND: 2}
 CUT_OUT = _MODES[MASK]
-_OF_MESH = 7  # fields of the tables, the first ones
 
 
 class SurfaceTables(NamedTuple):
@@ -76,7 +75,13 @@ def surface_tables(mesh: SceneMesh) -> SurfaceTables:
                 laid[part, slot] = texture.picture_from_uv
     used = np.flatnonzero((ints[:, :MODE] >= 0).any(0))
     return SurfaceTables(
-        *(getattr(mesh, name) for name in SurfaceTables._fields[:_OF_MESH]),
+        mesh.faces,
+        mesh.part,
+        mesh.face_normal,
+        mesh.normals,
+        mesh.tangents,
+        mesh.colours,
+        mesh.uv,
         np.array([_factors(material) for material in mesh.materials], np.float32),
         ints,
         uv_first,
