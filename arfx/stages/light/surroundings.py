@@ -91,10 +91,17 @@ class FrameSurroundings:
     axes: np.ndarray
 
     def environment(self) -> Environment:
-        """Filtered, as surfaces of any roughness mirror it."""
-        return environment_of(
-            _weighed(self.parts.texels, self.narrow, self.wide), self.axes
-        )
+        """Filtered, as surfaces of any roughness mirror it: the sum of the parts, each level
+        between the two brightnesses.
+        """
+        texels = self.parts.texels
+        out = np.empty(texels.shape[1:], np.float32)
+        for rows, roughness in zip(level_slices(), ROUGHNESSES, strict=True):
+            half_angle = np.sqrt(8) * np.arctan(roughness**2)
+            share = np.clip((half_angle - _NARROW_RAD) / (_WIDE_RAD - _NARROW_RAD), 0, 1)
+            weights = ((1 - share) * self.narrow + share * self.wide).astype(np.float32)
+            np.einsum("pnc,pc->nc", texels[:, rows], weights, out=out[rows])
+        return environment_of(out, self.axes)
 
     def cube(self, factors: np.ndarray) -> np.ndarray:
         """(6, n, n, 3) radiance of the parts by `narrow` or `wide`; not filtered."""
@@ -206,17 +213,6 @@ def brightness(
 def _radiance(values: np.ndarray) -> np.ndarray:
     """What of them is radiance: not what is below 0 or not finite."""
     return np.where(np.isfinite(values), np.clip(values, 0, None), 0)
-
-
-def _weighed(texels: np.ndarray, narrow: np.ndarray, wide: np.ndarray) -> np.ndarray:
-    """(n, 3) float32: the sum of the parts, each level between the two brightnesses."""
-    out = np.empty(texels.shape[1:], np.float32)
-    for rows, roughness in zip(level_slices(), ROUGHNESSES, strict=True):
-        half_angle = np.sqrt(8) * np.arctan(roughness**2)
-        share = np.clip((half_angle - _NARROW_RAD) / (_WIDE_RAD - _NARROW_RAD), 0, 1)
-        weights = ((1 - share) * narrow + share * wide).astype(np.float32)
-        np.einsum("pnc,pc->nc", texels[:, rows], weights, out=out[rows])
-    return out
 
 
 def seen_map(name: str, scene: Scene) -> np.ndarray:
