@@ -24,6 +24,7 @@ from arfx.plan.levels import (
 )
 from arfx.plan.planner import new_terms, plan_frame, terms_of
 
+_NO_PRICE = Prediction(float("inf"), 0.0, float("inf"))
 PrepareCost = Callable[[str, str], Prediction | None]
 
 
@@ -143,13 +144,7 @@ def _options(
             costs = [prices.predict(f"{name}/{level}", terms) for terms in runs]
             prepare = prepare_cost(name, level)
             costs.append(None if prepare is None else prepare.times(1 / shots[name]))
-            known = [c for c in costs if c is not None]
-            cost = (
-                sum_correlated(known)
-                if len(known) == len(costs)
-                else Prediction(float("inf"), 0.0, float("inf"))
-            )
-            out.setdefault((shot, name), []).append(
-                Option(level, cost, errors.of(name, level, levels[name][-1]), len(runs))
-            )
+            cost = sum_correlated(_NO_PRICE if c is None else c for c in costs)
+            error = errors.of(name, level, levels[name][-1])
+            out.setdefault((shot, name), []).append(Option(level, cost, error, len(runs)))
     return out

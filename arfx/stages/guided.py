@@ -45,16 +45,11 @@ def refined(
     mixed = (
         cv2.dilate(np.where(valid > 0, mask, 0).astype(np.float32), around) > least
     ) & (valid > 0)
-    rows, columns = np.flatnonzero(mixed.any(1)), np.flatnonzero(mixed.any(0))
-    if not len(rows):
+    x, y, width, height = cv2.boundingRect(mixed.view(np.uint8))
+    if not width:
         return mask
-    whole = Rect(0, 0, mask.shape[1], mask.shape[0])
-    rect = (
-        Rect(int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1)
-        .pad(reach)
-        .clip(whole)
-    )
-    box = rect.slices
+    whole = Rect(0, 0, *mask.shape[::-1])
+    box = Rect(x, y, x + width, y + height).pad(reach).clip(whole).slices
     # about as the eye grades it: square root of linear light, at most 2
     guide = [
         np.sqrt(np.clip(plate[box][..., c], 0, 4)).astype(np.float32) for c in range(3)

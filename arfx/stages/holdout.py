@@ -69,11 +69,7 @@ class Holdout(Stage):
         inside = now.extent(Layer.SHADOW)
         if inside.empty:
             return {Layer.SHADOW: Pixels(inside, np.empty((0, 0, 3), np.float32))}
-        around = (
-            inside
-            if view.level == "draft"
-            else inside.pad(reach_px(scene)).clip(now.rect)
-        )
+        around = self.needs(inside, view.facts, scene, view.level).clip(now.rect)
         part, depth = now.crop(around), view.facts.real_depth
         tolerance = max(
             self.params.tolerance, 0.0 if depth is None else _SIGMAS * depth.noise

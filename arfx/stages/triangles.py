@@ -5,6 +5,7 @@ a set of directions.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -32,19 +33,18 @@ class Triangles:
         self, origins: np.ndarray, directions: np.ndarray
     ) -> Mapping[str, np.ndarray]:
         """primID (-1 = none), u, v, tfar of rays (n, 3)."""
-        o, d = (
-            np.ascontiguousarray(origins, np.float32),
-            np.ascontiguousarray(directions, np.float32),
+        found: Mapping[str, np.ndarray] = self._asked(
+            origins, directions, query="INTERSECT", output=True
         )
-        return self._scene.run(o, d, query="INTERSECT", output=True)
+        return found
 
     def blocked(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """(n,) bool: whether rays (n, 3) meet anything."""
-        o, d = (
-            np.ascontiguousarray(origins, np.float32),
-            np.ascontiguousarray(directions, np.float32),
-        )
-        return np.asarray(self._scene.run(o, d, query="OCCLUDED")) >= 0
+        return np.asarray(self._asked(origins, directions, query="OCCLUDED")) >= 0
+
+    def _asked(self, *rays: np.ndarray, **query: Any) -> Any:
+        parts = (np.ascontiguousarray(a, np.float32) for a in rays)
+        return self._scene.run(*parts, **query)
 
     def visible_fraction(
         self,

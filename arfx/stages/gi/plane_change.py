@@ -18,7 +18,7 @@ from arfx.core.numerics import divide
 from arfx.core.pose import Pose
 from arfx.stages.holdout import plane_dioptres
 from arfx.stages.light.plane_lookup import PlaneTexture, PlaneView
-from arfx.stages.light.plane_shadow import SoftPicture, texel_places
+from arfx.stages.light.plane_shadow import texel_places
 from arfx.stages.light.planes import SHOWS, Planes, on_plane, warped
 from arfx.stages.light.transport import Indirect
 
@@ -48,7 +48,7 @@ def plane_pose(axes: np.ndarray) -> Pose:
 
 
 def change_textures(
-    light: Indirect, hidden: np.ndarray, planes: Planes, soft: Sequence[SoftPicture]
+    light: Indirect, hidden: np.ndarray, planes: Planes, soft: Sequence[PlaneTexture]
 ) -> list[list[PlaneTexture]]:
     """Of each plane, textures (3, rows, columns) that add up: share of all the plane's light
     that the object adds.
@@ -66,7 +66,7 @@ def change_textures(
         if k == 0:
             turn, shift = axes[1:3, :2], -axes[1:3] @ axes[0]
         blank = _even_picture(planes.half_m, -np.linalg.solve(turn, shift))
-        shares = [(p.even, p.hidden[0]) for p in soft] if k == 0 else [(blank, dark)]
+        shares = [(p, p.dark[0]) for p in soft] if k == 0 else [(blank, dark)]
         quotient = divide(gain, dark[..., None] * light.total[k])
         parts = [(*share, quotient) for share in shares]
         if len(planes.axes) > 1:

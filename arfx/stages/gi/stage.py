@@ -51,7 +51,7 @@ from arfx.stages.gi.reference import trace_frame
 from arfx.stages.gi.reflections import Sight, reflected_light
 from arfx.stages.light.bumps import share_above_surface, smooth_normal
 from arfx.stages.light.plane_lookup import PlaneTexture
-from arfx.stages.light.plane_shadow import PLANE_LEVELS, SoftPicture, soft_pictures
+from arfx.stages.light.plane_shadow import PLANE_LEVELS, soft_pictures
 from arfx.stages.light.planes import (
     SHOWS,
     disc_radius_m,
@@ -121,7 +121,7 @@ class Prepared:
 
     grid: np.ndarray
     transport: Transport
-    soft: tuple[SoftPicture, ...]
+    soft: tuple[PlaneTexture, ...]
     positions: np.ndarray
 
 
@@ -188,7 +188,7 @@ class Gi(Stage):
             return None
         planes, region = planes_of(scene), shadow_region(scene)
 
-        def make() -> tuple[Transport, tuple[SoftPicture, ...]]:
+        def make() -> tuple[Transport, tuple[PlaneTexture, ...]]:
             middle, half = planes.axes[0, 0, :2].astype(float), planes.half_m
             box = middle - half, middle + half
             soft = soft_pictures(region.caster, *box, PLANE_LEVELS["standard"])

@@ -75,18 +75,13 @@ def frame_light(
 
     Lights without a direction or without finite colour are left out; negative colour counts
     as none, a size that is not finite as the smallest."""
-    lights = [
-        (li.unit, np.clip(np.asarray(li.rgb, float), 0, None), li.angular_size_deg)
-        for li in light.lights
-    ]
-    lights = [
-        (d, rgb, size)
-        for d, rgb, size in lights
-        if d.any() and np.isfinite(rgb).all() and rgb.any()
-    ]
-    t, c = (np.array([li[i] for li in lights], float).reshape(-1, 3) for i in (0, 1))
-    sizes_deg = np.nan_to_num(np.array([li[2] for li in lights], float), posinf=0)
-    s = np.zeros(len(lights)) if hard else np.clip(sizes_deg, SMALLEST_DEG, LARGEST_DEG)
+    t = np.array([li.unit for li in light.lights]).reshape(-1, 3)
+    c = np.clip(np.array([li.rgb for li in light.lights], float).reshape(-1, 3), 0, None)
+    sizes_deg = np.array([li.angular_size_deg for li in light.lights], float)
+    usable = t.any(1) & np.isfinite(c).all(1) & c.any(1)
+    t, c = t[usable], c[usable]
+    sizes_deg = np.nan_to_num(sizes_deg[usable], posinf=0)
+    s = np.zeros(len(t)) if hard else np.clip(sizes_deg, SMALLEST_DEG, LARGEST_DEG)
     beams = tuple(
         quantised(world_from_anchor.rotation.T @ d, size)
         for d, size in zip(t, s.tolist(), strict=True)
@@ -137,10 +132,14 @@ def quantised(direction: np.ndarray, size_deg: float) -> Beam:
         if (again == steps).all():
             break
         steps = again
-    return Beam(
-        (float(d[0]), float(d[1]), float(d[2])),
-        round(size_deg / SIZE_STEP_DEG) * SIZE_STEP_DEG,
-    )
+    return Beam(triple(d), round(size_deg / SIZE_STEP_DEG) * SIZE_STEP_DEG)
+
+
+def rim_directions(beam: Beam, count: int, radius: float = 1.0) -> np.ndarray:
+    """(1 + count, 3) `disc_directions` to the middle of the disc, then around it."""
+    angles = 2 * np.pi / count * np.arange(count)
+    rim = radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    return disc_directions(beam, np.concatenate([np.zeros((1, 2)), rim]))
 
 
 def disc_directions(

@@ -48,6 +48,11 @@ class Caster:
     facet_slope: float
     opacity: float = 1.0
 
+    def cast(self, towards: np.ndarray) -> np.ndarray:
+        """(k n, 2) metres on the plane: the outline's shadows by lights in directions (k, 3)."""
+        slopes = towards[:, None, :2] / towards[:, None, 2:]
+        return (self.outline[:, :2] - slopes * self.outline[:, 2:]).reshape(-1, 2)
+
 
 def make_caster(scene: Scene) -> Caster:
     """All parts of the scene's model together, less those that are less than half as opaque
@@ -61,7 +66,14 @@ def make_caster(scene: Scene) -> Caster:
     used = vertices[np.unique(every)]
     extent = float(np.ptp(used, axis=0).max())
     sunk = (used[:, 2] < -_SUNK * extent).any()
-    over, over_faces = _above_plane(vertices, every) if sunk else (vertices, every)
+    over, over_faces = vertices, every
+    if sunk:
+        from trimesh.intersections import slice_faces_plane
+
+        up = np.array([0.0, 0.0, 1.0])
+        over, over_faces, _ = slice_faces_plane(vertices, every, up, np.zeros(3))
+        over[:, 2] = np.maximum(over[:, 2], 0)
+        over_faces = over_faces.astype(np.int32)
     a, b, c = (over[over_faces[:, i]] for i in range(3))
     top = float(over[:, 2].max(initial=0.0))
     sag, slope = _faceting(vertices, every, mesh.normals, extent)
@@ -111,18 +123,6 @@ def _edges(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     ).astype(np.int32)
 
 
-def _above_plane(
-    vertices: np.ndarray, faces: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles over z = 0; those that pass through it are cut there."""
-    from trimesh.intersections import slice_faces_plane
-
-    up = np.array([0.0, 0.0, 1.0])
-    over, over_faces, _ = slice_faces_plane(vertices, faces, up, np.zeros(3))
-    over[:, 2] = np.maximum(over[:, 2], 0)
-    return over, over_faces.astype(np.int32)
-
-
 def _outline(points: np.ndarray) -> np.ndarray:
     """Vertices of the convex hull; the corners of the box where the points are few, many or
     flat.
@@ -165,11 +165,7 @@ def _faceting(
     face = normalise(np.cross(b - a, c - a))
     cosine = np.abs((normals[faces] * face[:, None]).sum(-1)).min(1)
     angle = np.minimum(arccos(cosine), np.radians(45))
-    side = np.sqrt(
-        np.stack(
-            [((a - b) ** 2).sum(1), ((b - c) ** 2).sum(1), ((c - a) ** 2).sum(1)]
-        ).max(0)
-    )
+    side = np.linalg.norm([a - b, b - c, c - a], axis=2).max(0)
     # a chord of length L that leans by the angle from the arc's tangent at its end lies L /
     # 2 tan(angle / 2) below the arc
     sag = float(np.quantile(side / 2 * np.tan(angle / 2), 0.95)) if len(faces) else 0.0

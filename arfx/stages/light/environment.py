@@ -20,14 +20,15 @@ import numpy as np
 
 from arfx.core.compiled import FAST, kernel, line_kernel
 from arfx.core.cube import bordered, face_directions, resampled
-from arfx.core.sampling import frame_about
+from arfx.core.sampling import GOLDEN_RAD, frame_about
 from arfx.core.vectors import mixed, shifted, turned, vector
+from arfx.stages.light.planes import halvings
 
+_F = np.float32
 ROUGHNESSES = (0.0, 0.2, 0.35, 0.55, 0.75, 1.0)  # of the levels
 SIDES = (64, 32, 16, 8, 8, 8)  # texels of a face: about a third of the lobe's width
 SAMPLES = (0, 24, 32, 32, 32, 32)  # of a lobe, of each level
 _COARSEST_PX = 4  # of a face that samples are taken from
-_GOLDEN_RAD = np.pi * (3 - np.sqrt(5))
 
 
 class Environment(NamedTuple):
@@ -72,10 +73,8 @@ def prefiltered(cube: np.ndarray) -> np.ndarray:
     if not cube.any():
         return np.zeros((level_slices()[-1].stop, 3), np.float32)
     finest = resampled(np.asarray(cube, np.float32), SIDES[0])
-    halved, sides = [finest], [SIDES[0]]
-    while sides[-1] > _COARSEST_PX:
-        sides.append(sides[-1] // 2)
-        halved.append(halved[-1].reshape(6, sides[-1], 2, sides[-1], 2, 3).mean((2, 4)))
+    halved = halvings(finest, _COARSEST_PX)
+    sides = [level.shape[1] for level in halved]
     source = np.concatenate([_packed(level) for level in halved])
     out = [_packed(finest)]
     levels = zip(SIDES, ROUGHNESSES, SAMPLES, strict=True)
@@ -91,12 +90,14 @@ def _packed(faces: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(bordered(faces).reshape(-1, 3), np.float32)
 
 
-def _lobe(roughness: float, samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(directions (k, 3) about +z, weights (k,) of sum 1, and (k,) the halving whose texels
-    are as large as a sample).
-    """
+@lru_cache(maxsize=len(SIDES))
+def _lobes(
+    side: int, roughness: float, samples: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(directions (n, 3) of all samples of the lobes about a level's texels; (n,) the halving
+    whose texels are as large as a sample; weights (samples,) of sum 1)."""
     u = (np.arange(samples) + 0.5) / samples
-    phi = np.arange(samples) * _GOLDEN_RAD
+    phi = np.arange(samples) * GOLDEN_RAD
     alpha2 = roughness**4
     # squared cosine of the microfacet's normal, as GGX spreads it
     half2 = (1 - u) / (1 + (alpha2 - 1) * u)
@@ -105,26 +106,12 @@ def _lobe(roughness: float, samples: int) -> tuple[np.ndarray, np.ndarray, np.nd
     density = alpha2 / (4 * np.pi * (half2 * (alpha2 - 1) + 1) ** 2)
     texel_sr = 4 * np.pi / (6 * SIDES[0] ** 2)
     detail = np.clip(0.5 * np.log2(2 / (samples * density * texel_sr)), 0, None)
-    weight = np.clip(z, 0, None) / np.clip(z, 0, None).sum()
-    directions = np.stack([across * np.cos(phi), across * np.sin(phi), z], -1)
-    return directions, weight.astype(np.float32), detail.astype(np.float32)
-
-
-@lru_cache(maxsize=len(SIDES))
-def _lobes(
-    side: int, roughness: float, samples: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(directions (n, 3) of all samples of the lobes about a level's texels, their halvings (n,),
-    weights (samples,)); as `_lobe`."""
-    lobe, weight, detail = _lobe(roughness, samples)
-    directions = _about(face_directions(side).reshape(-1, 3), lobe).astype(np.float32)
-    return directions.reshape(-1, 3), np.tile(detail, len(directions)), weight
-
-
-def _about(axes: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """(n, k, 3): directions (k, 3) about +z, turned to each of unit axes (n, 3)."""
-    frames = np.stack([*frame_about(axes), axes], 1)
-    return np.asarray(directions @ frames)
+    weight = np.clip(z, 0, None)
+    lobe = np.stack([across * np.cos(phi), across * np.sin(phi), z], -1)
+    axes = face_directions(side).reshape(-1, 3)
+    directions = (lobe @ np.stack([*frame_about(axes), axes], 1)).astype(np.float32)
+    details = np.tile(detail.astype(np.float32), len(axes))
+    return directions.reshape(-1, 3), details, (weight / weight.sum()).astype(np.float32)
 
 
 @kernel(fastmath=FAST, error_model="numpy")
@@ -152,7 +139,7 @@ def radiance(
     low = levels[k] * levels[k]
     part = (roughness * roughness - low) / (levels[k + 1] * levels[k + 1] - low)
     in_cube = turned(turn, direction)
-    return look_up(texels, sides, starts, np.float32(k) + part, in_cube)
+    return look_up(texels, sides, starts, _F(k) + part, in_cube)
 
 
 @line_kernel(fastmath=FAST, error_model="numpy")
@@ -160,32 +147,32 @@ def look_up(texels, sides, starts, level, direction):  # pragma: no cover - comp
     """(r, g, b) in a direction of any length, the cube's axes; linear between levels, the
     last beyond them.
     """
-    zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
+    zero, one, half = _F(0), _F(1), _F(0.5)
     x, y, z = direction
     ax, ay, az = abs(x), abs(y), abs(z)
     if ax >= ay and ax >= az:
-        s = one / max(ax, np.float32(1e-20))
+        s = one / max(ax, _F(1e-20))
         face, u, v = 0 if x > zero else 1, -z * s, y * s
     elif ay >= az:
-        s = one / max(ay, np.float32(1e-20))
+        s = one / max(ay, _F(1e-20))
         face, u, v = 2 if y > zero else 3, x * s, -z * s
     else:
-        s = one / max(az, np.float32(1e-20))
+        s = one / max(az, _F(1e-20))
         face, u, v = 4 if z > zero else 5, x * s, y * s
-    last = np.float32(sides.shape[0] - 1)
+    last = _F(sides.shape[0] - 1)
     level = min(max(level, zero), last)
     first = min(int(level), sides.shape[0] - 2)
-    part = level - np.float32(first)
+    part = level - _F(first)
     light = zero, zero, zero
     for q in range(2):
         share = part if q else one - part
         if share <= zero:
             continue
         side, start = sides[first + q], starts[first + q]
-        scale = half * np.float32(side)
+        scale = half * _F(side)
         column, row = (u + one) * scale + half, (v + one) * scale + half
         i, j = min(max(int(column), 0), side), min(max(int(row), 0), side)
-        fc, fr = column - np.float32(i), row - np.float32(j)
+        fc, fr = column - _F(i), row - _F(j)
         near = np.uintp(start + (face * (side + 2) + j) * (side + 2) + i)
         below = near + np.uintp(side + 2)
         top = mixed(texels[near], texels[near + np.uintp(1)], fc)

@@ -16,7 +16,8 @@ from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.stages.viewing import GRID_PX
 
-_LEAST_LIGHT = np.float32(1e-6)  # share of a plane's light under which it counts as none
+_F = np.float32
+_LEAST_LIGHT = _F(1e-6)  # share of a plane's light under which it counts as none
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,22 +87,20 @@ def shadow_ratio(
     faint : darkening under it is left out, over 3 times as much kept whole, faded between
     strength : 0..1"""
     height, width = view.rect.height, view.rect.width
-    grey = bool((weights == weights[:, :1]).all() and (ambient == ambient[0]).all())
-    channels = 1 if grey else 3
-    taken = np.zeros((channels, height, width), np.float32)
+    taken = np.zeros((3, height, width), np.float32)
     lamps_left = None
     if blocked is not None:
         lamps_left = np.ones((1, height, width), np.float32)
         view.add(lamps_left, blocked, np.array([-1.0]))
     for k, texture in enumerate((*soft, *lamps)):
         reaches = None if lamps_left is None or k < len(soft) else lamps_left[0]
-        view.add(taken, texture, weights[k, :channels], reaches)
+        view.add(taken, texture, weights[k], reaches)
     if lamps_left is not None:  # what is there already is less than the whole light
-        part = ambient[:channels].astype(np.float32)[:, None, None]
+        part = ambient.astype(np.float32)[:, None, None]
         taken /= np.maximum(part + (1 - part) * lamps_left, _LEAST_LIGHT)
     ratio = np.empty((height, width, 3), np.float32)
-    rise = np.float32(0.5 / max(faint, 1e-6))
-    _write_ratio(ratio, taken, np.float32(faint), rise, np.float32(strength))
+    rise = _F(0.5 / max(faint, 1e-6))
+    _write_ratio(ratio, taken, _F(faint), rise, _F(strength))
     return ratio
 
 
@@ -120,10 +119,10 @@ def _add_texture(
     cells = nodes.shape[2] - 1
     line = np.empty((3, cells + 1), np.float32)
     moved = np.empty((3, cells * GRID_PX), np.float32)
-    zero, step, one = np.float32(0), np.float32(1.0 / GRID_PX), np.uintp(1)
-    last_u, last_v = np.float32(columns - 1.01), np.float32(rows - 1.01)
+    zero, step, one = _F(0), _F(1.0 / GRID_PX), np.uintp(1)
+    last_u, last_v = _F(columns - 1.01), _F(rows - 1.01)
     for j in range(height):
-        cell_row, below_row = (y0 + j) // GRID_PX, np.float32((y0 + j) % GRID_PX) * step
+        cell_row, below_row = (y0 + j) // GRID_PX, _F((y0 + j) % GRID_PX) * step
         for k in range(3):
             above, below = nodes[k, cell_row], nodes[k, cell_row + 1]
             for i in range(cells + 1):
@@ -132,7 +131,7 @@ def _add_texture(
                 first, left = np.uintp(q * GRID_PX), line[k, q]
                 rise = line[k, q + 1] - left
                 for i in range(GRID_PX):
-                    moved[k, first + np.uintp(i)] = left + np.float32(i) * step * rise
+                    moved[k, first + np.uintp(i)] = left + _F(i) * step * rise
         u, v, z = moved[0, x0 : x0 + width], moved[1, x0:], moved[2, x0:]
         for i in range(width):
             meets = z[i] < zero
@@ -143,7 +142,7 @@ def _add_texture(
             if not (zero < u[i] < last_u and zero < v[i] < last_v):
                 continue
             column, row = np.int32(u[i]), np.int32(v[i])
-            across, down = u[i] - np.float32(column), v[i] - np.float32(row)
+            across, down = u[i] - _F(column), v[i] - _F(row)
             a, b = np.uintp(column), np.uintp(row)
             value = zero
             for c in range(channels):
@@ -159,14 +158,14 @@ def _add_texture(
 
 @kernel(fastmath=FAST, error_model="numpy")
 def _write_ratio(out, taken, faint, rise, strength):  # pragma: no cover - compiled
-    """out (h, w, 3) : 1 - `taken` (c, h, w), faded in above `faint` by the channel that
+    """out (h, w, 3) : 1 - `taken` (3, h, w), faded in above `faint` by the channel that
     loses most.
     """
-    channels, height, width = taken.shape
-    zero, one, three = np.float32(0), np.float32(1), np.float32(3)
+    _, height, width = taken.shape
+    zero, one, three = _F(0), _F(1), _F(3)
     shown = np.empty(width, np.float32)
     for j in range(height):
-        r, g, b = taken[0, j], taken[channels // 2, j], taken[channels - 1, j]
+        r, g, b = taken[0, j], taken[1, j], taken[2, j]
         for i in range(width):
             t = min(max((max(max(r[i], g[i]), b[i]) - faint) * rise, zero), one)
             shown[i] = strength * t * t * (three - t - t)

@@ -8,6 +8,7 @@ Source: docs/methods/gi.md#delta; bound from the solid angle of the ball around 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -26,12 +27,10 @@ from arfx.stages.viewing import seen_rect
 # Half a step of an sRGB code c is this share of its linear light or more: (2.4 / (c +
 # .055)) x step, least at c = 1.
 SHOWS = HALF_GREY * 2.4 / 1.055
-# of markers, whose poses are that uncertain: an edge between two halves of one wall would be seen
-_SAME_PLANE_M, _SAME_COSINE = 0.02, 0.99
-_SAME_MEASURED_M, _SAME_MEASURED_COSINE = (
-    0.03,
-    0.985,
-)  # of planes that are measured as depth
+# Least cosine of two normals, and most metres between the planes, that make them one: of
+# markers, whose poses are that uncertain (an edge between two halves of one wall would be
+# seen), and of planes that are measured as depth.
+_SAME_MARKER, _SAME_MEASURED = (0.99, 0.02), (0.985, 0.03)
 SAME_DEPTH = 0.03  # of the distance: what was measured off by more is not the plane
 # a rough plane's mirror image is wider by this share of the object's height, times the
 # lobe's tangent
@@ -94,16 +93,9 @@ def planes_of(scene: Scene) -> Planes:
     centre, radius = bounding_ball(scene)
     axes = [np.array([[centre[0], centre[1], 0.0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])]
     bounds = [np.array([-ENDLESS, -ENDLESS, ENDLESS, ENDLESS])]
-    known: list[tuple[Pose, RealPlane | None, float, float]]
-    known = [
-        (pose, None, _SAME_COSINE, _SAME_PLANE_M)
-        for pose in scene.world_from_marker.values()
-    ]
-    known += [
-        (p.world_from_plane, p, _SAME_MEASURED_COSINE, _SAME_MEASURED_M)
-        for p in scene.real_planes
-    ]
-    for pose, measured, cosine, apart_m in known:
+    markers = ((pose, None, *_SAME_MARKER) for pose in scene.world_from_marker.values())
+    real = ((p.world_from_plane, p, *_SAME_MEASURED) for p in scene.real_planes)
+    for pose, measured, cosine, apart_m in (*markers, *real):
         m = anchor_from_world @ pose
         n, o = m.rotation[:, 2], m.translation_m
         same = [
@@ -164,16 +156,20 @@ def disc_rect(
     """
     angle = np.arange(32) * np.pi / 16
     ring = 1.02 * radius_m * np.stack([np.cos(angle), np.sin(angle)], -1)
-    eye = scene.world_from_anchor.inverse().apply(pose.inverse().translation_m)
+    camera_from_anchor = pose @ scene.world_from_anchor
     out = EMPTY
-    for axes in planes.axes.astype(float):
-        points = axes[0] + ring[:, :1] * axes[1] + ring[:, 1:] * axes[2]
-        if (eye - axes[0]) @ axes[3] <= 0:
-            continue
-        out = out.union(
-            seen_rect(scene.camera, (pose @ scene.world_from_anchor).apply(points), 1.0)
-        )
+    for axes in _faced(planes, camera_from_anchor):
+        points = camera_from_anchor.apply(axes[0] + ring @ axes[1:3])
+        out = out.union(seen_rect(scene.camera, points, 1.0))
     return out.clip(frame)
+
+
+def _faced(planes: Planes, camera_from_anchor: Pose) -> Iterator[np.ndarray]:
+    """Axes (4, 3) of the planes that the camera is before."""
+    eye = camera_from_anchor.inverse().translation_m
+    for axes in planes.axes.astype(float):
+        if (eye - axes[0]) @ axes[3] > 0:
+            yield axes
 
 
 def mirror_rect(
@@ -184,13 +180,12 @@ def mirror_rect(
 
     tangent : of the lobe's half-angle, by which a rough plane widens the image"""
     corners = scene.world_from_anchor.inverse().apply(scene.model_corners_m)
-    eye = scene.world_from_anchor.inverse().apply(pose.inverse().translation_m)
     camera_from_anchor = pose @ scene.world_from_anchor
     out = EMPTY
-    for axes in planes.axes.astype(float):
+    for axes in _faced(planes, camera_from_anchor):
         normal = axes[3]
         height = (corners - axes[0]) @ normal
-        if (eye - axes[0]) @ normal <= 0 or height.max() <= 0:
+        if height.max() <= 0:
             continue
         mirrored = corners - 2 * np.clip(height, 0, None)[:, None] * normal
         reach = BLUR * tangent * float(height.max())
@@ -274,12 +269,17 @@ def filled(radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray) -> np
     return out
 
 
+def halvings(texels: np.ndarray, least: int) -> list[np.ndarray]:
+    """(p, n, n, c) and the means of four texels each, down to `least` texels a side."""
+    levels = [texels]
+    while (n := levels[-1].shape[1] // 2) >= least:
+        levels.append(levels[-1].reshape(len(texels), n, 2, n, 2, -1).mean((2, 4)))
+    return levels
+
+
 def mip_chain(radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(p, texels, 3) float32 and (levels, 2) int64 (offset, side): halved down to one texel."""
-    p, levels = len(radiance), [radiance]
-    while levels[-1].shape[1] > 1:
-        n = levels[-1].shape[1] // 2
-        levels.append(levels[-1].reshape(p, n, 2, n, 2, 3).mean((2, 4)))
+    p, levels = len(radiance), halvings(radiance, 1)
     sides = np.array([level.shape[1] for level in levels], np.int64)
     offsets = np.cumsum(sides**2) - sides**2
     flat = np.concatenate([level.reshape(p, -1, 3) for level in levels], 1)

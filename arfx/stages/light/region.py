@@ -10,17 +10,20 @@ from functools import lru_cache
 
 import numpy as np
 
+from arfx.core.facts import FrameFacts
 from arfx.core.memo import memo_of
+from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.stages.light.beams import Beam, disc_directions
+from arfx.stages.light.beams import Beam, FrameLight, rim_directions
 from arfx.stages.light.caster import Caster, make_caster
+from arfx.stages.light.plane_lookup import PlaneTexture
 from arfx.stages.light.plane_shadow import (
     PlaneLevel,
-    SoftPicture,
     soft_picture,
     soft_pictures,
 )
 from arfx.stages.light.surfels import ObjectRays
+from arfx.stages.viewing import seen_rect
 
 _TEXELS, _SKY = 96, 256
 # Heights around the footprint: a wall as high takes (1 / 2.5)^2 / 4 = 4 % of the
@@ -52,9 +55,9 @@ class ShadowRegion:
     @property
     def hidden(self) -> float:
         """The most that the object hides of the plane's hemisphere, 0..1."""
-        return float(self.soft.hidden[0].max())
+        return float(self.soft.dark[0].max())
 
-    def _soft_pictures(self, level: PlaneLevel, least: float) -> tuple[SoftPicture, ...]:
+    def _soft_pictures(self, level: PlaneLevel, least: float) -> tuple[PlaneTexture, ...]:
         """What the object takes of the soft light, where that can be more than `least`
         whatever its shape.
         """
@@ -74,7 +77,7 @@ class ShadowRegion:
         return _subdivided(_hull(points)) if len(points) else points
 
     def _soft_outline_m(self, least_hidden: float) -> np.ndarray:
-        dark = np.argwhere(self.soft.hidden[0] > least_hidden)[:, ::-1]
+        dark = np.argwhere(self.soft.dark[0] > least_hidden)[:, ::-1]
         if not len(dark):
             return np.zeros((0, 2))
         # a texel and its neighbours: the coarse picture may miss the border by one
@@ -84,11 +87,7 @@ class ShadowRegion:
         return (texels - matrix[:, 2]) / np.diag(matrix[:, :2])
 
     def _beam_outline_m(self, beam: Beam) -> np.ndarray:
-        angle = np.arange(12) * np.pi / 6
-        rim = _RIM * np.column_stack([np.cos(angle), np.sin(angle)])
-        towards = disc_directions(beam, np.concatenate([np.zeros((1, 2)), rim]))
-        p, slopes = self.caster.outline, towards[:, :2] / towards[:, 2:]
-        return _hull((p[None, :, :2] - slopes[:, None] * p[None, :, 2:]).reshape(-1, 2))
+        return _hull(self.caster.cast(rim_directions(beam, 12, _RIM)))
 
 
 def shadow_region(scene: Scene) -> ShadowRegion:
@@ -96,6 +95,32 @@ def shadow_region(scene: Scene) -> ShadowRegion:
         scene.placed_by, lambda: ShadowRegion(scene), "shadow region", _PLACEMENTS
     )
     return region
+
+
+def plane_rect(points_m: np.ndarray, facts: FrameFacts, scene: Scene) -> Rect:
+    """Pixels that hold points (n, 2) of the anchor's plane; the whole frame where some are
+    not before the camera.
+    """
+    points = np.column_stack([points_m, np.zeros(len(points_m))])
+    return seen_rect(
+        scene.camera, facts.pose.apply(scene.world_from_anchor.apply(points)), 1.0
+    )
+
+
+def darkest(light: FrameLight, scene: Scene) -> float:
+    """The largest share of the plane's light, 0..1, that the object can take: every
+    directional light, and of the ambient one what it hides where it hides most."""
+    hidden = min(shadow_region(scene).hidden * unevenness(light), 1.0)
+    return float((light.ambient_fraction * hidden + light.direct_fractions.sum(0)).max())
+
+
+def unevenness(light: FrameLight) -> float:
+    """How many times as bright as its mean over the plane's hemisphere the soft light is at
+    most, as far as pictures hold it.
+    """
+    return min(
+        (1 + float(np.linalg.norm(light.shape))) / (1 + 2 / 3 * light.shape[2]), UNEVEN
+    )
 
 
 def _hull(points: np.ndarray) -> np.ndarray:

@@ -20,13 +20,8 @@ import numpy as np
 from arfx.core.compiled import FAST, kernel
 from arfx.core.sampling import r2
 
+_F = np.float32
 COARSE = 8  # texels a side of a cell of the height map
-
-
-def sample_offsets(n: int) -> np.ndarray:
-    """(n, 2) offsets within +-0.5 that fill a texel evenly (`r2`), their mean 0."""
-    offsets = r2(n) - 0.5
-    return offsets - offsets.mean(0)
 
 
 def covered_fraction(
@@ -45,10 +40,11 @@ def covered_fraction(
     axes of `across`
     slopes (k, 2) : columns and rows by which a point one texel high is displaced
     """
-    offsets = sample_offsets(len(slopes)) if len(slopes) > 1 else np.zeros((1, 2))
+    offsets = r2(len(slopes)) - 0.5
+    offsets -= offsets.mean(0)
     towards, moved, shifts = (a.astype(np.float32) for a in (directions, slopes, offsets))
     count = _count(points, edges, across, towards, moved, shifts, *shape)
-    return np.asarray(count / np.float32(len(slopes)))
+    return np.asarray(count / _F(len(slopes)))
 
 
 @kernel()
@@ -95,7 +91,7 @@ def _add_edge(turns, u, v, a, b, weight):  # pragma: no cover - compiled
     last = min(np.int64(np.ceil(v[b])), np.int64(turns.shape[0]))
     for y in range(first, last):
         slope = (u[b] - u[a]) / (v[b] - v[a])
-        x = np.int64(np.ceil(u[a] + (np.float32(y) - v[a]) * slope))
+        x = np.int64(np.ceil(u[a] + (_F(y) - v[a]) * slope))
         turns[y, min(max(x, zero), last_column)] += weight
 
 
@@ -130,10 +126,10 @@ def height_map(u, v, height, faces, rows, columns, empty):  # pragma: no cover -
         dv = ((ub - ua) * (hc - ha) - (hb - ha) * (uc - ua)) / across
         top, low = max(ha, hb, hc), min(ha, hb, hc)
         long = (uc - ua) / (vc - va)
-        lower = (ub - ua) / (vb - va) if vb > va else np.float32(0)
-        upper = (uc - ub) / (vc - vb) if vc > vb else np.float32(0)
+        lower = (ub - ua) / (vb - va) if vb > va else _F(0)
+        upper = (uc - ub) / (vc - vb) if vc > vb else _F(0)
         for y in range(first, last):
-            at = np.float32(y)
+            at = _F(y)
             p = ua + (at - va) * long
             q = ua + (at - va) * lower if at < vb else ub + (at - vb) * upper
             x0, x1 = (
@@ -143,7 +139,7 @@ def height_map(u, v, height, faces, rows, columns, empty):  # pragma: no cover -
             start = ha + (at - va) * dv - ua * du
             for x in range(x0, x1):
                 # slivers have slopes without bound: never beyond the triangle's own corners
-                h = min(max(start + np.float32(x) * du, low), top)
+                h = min(max(start + _F(x) * du, low), top)
                 out[y, np.uintp(x)] = max(out[y, np.uintp(x)], h)
     return out
 
@@ -153,25 +149,25 @@ def smoothed(
     points: np.ndarray,
     faces: np.ndarray,
     slope: np.ndarray,
-    radii: tuple[float, float],
+    radii: np.ndarray,
     count: int,
 ) -> np.ndarray:
     """`fraction` (rows, columns) float32 after the boxes.
 
     points (n, 3) float32, faces, as for `covered_fraction`;  slope (2,) of the light's middle
-    radii : columns and rows by which one texel of height opens the penumbra, half its
+    radii (2,) : columns and rows by which one texel of height opens the penumbra, half its
     width;  count : directions used
     """
     # the mean distance of K points on a unit disc is sqrt(pi / K): less leaves steps, more
     # blurs beyond the true penumbra
-    half = np.array(radii) * np.sqrt(np.pi / count) / 2
+    half = radii * np.sqrt(np.pi / count) / 2
     top = float(points[:, 2].max(initial=0.0))
     if top * float(half.max()) <= 0.5:
         return fraction
     height = _caster_height(points, faces, slope, fraction.shape)
-    across = _boxes(fraction, np.float32(half[0]) * height)
+    across = _boxes(fraction, _F(half[0]) * height)
     columns = np.ascontiguousarray(across.T), np.ascontiguousarray(height.T)
-    down = _boxes(columns[0], np.float32(half[1]) * columns[1])
+    down = _boxes(columns[0], _F(half[1]) * columns[1])
     return np.asarray(down.T.clip(0, 1))
 
 
@@ -183,13 +179,8 @@ def _caster_height(
     """
     rows, columns = -(-shape[0] // COARSE), -(-shape[1] // COARSE)
     h = np.ascontiguousarray(points[:, 2])
-    u = ((points[:, 0] + np.float32(slope[0]) * h + 0.5) / COARSE - 0.5).astype(
-        np.float32
-    )
-    v = ((points[:, 1] + np.float32(slope[1]) * h + 0.5) / COARSE - 0.5).astype(
-        np.float32
-    )
-    height = height_map(u, v, h, faces, rows, columns, np.float32(-1))
+    u, v = ((points[:, k] + _F(slope[k]) * h + 0.5) / COARSE - _F(0.5) for k in (0, 1))
+    height = height_map(u, v, h, faces, rows, columns, _F(-1))
     empty = height < 0
     if empty.all():
         return np.zeros(shape, np.float32)
@@ -210,7 +201,7 @@ def _boxes(fraction, half_width):  # pragma: no cover - compiled
 
     half_width : (rows, columns) texels"""
     rows, columns = fraction.shape
-    half, zero, last = np.float32(0.5), np.float32(0), np.float32(columns)
+    half, zero, last = _F(0.5), _F(0), _F(columns)
     out = np.empty((rows, columns), np.float32)
     total = np.zeros(columns + 1, np.float32)
     for y in range(rows):
@@ -218,10 +209,10 @@ def _boxes(fraction, half_width):  # pragma: no cover - compiled
             total[x + 1] = total[x] + fraction[y, x]
         for x in range(columns):
             r = max(half_width[y, x], half)
-            centre = np.float32(x) + half
+            centre = _F(x) + half
             a, b = max(centre - r, zero), min(centre + r, last)
             ia, ib = np.int32(a), min(np.int32(b), np.int32(columns - 1))
-            low = total[ia] + (a - np.float32(ia)) * fraction[y, ia]
-            high = total[ib] + (b - np.float32(ib)) * fraction[y, ib]
+            low = total[ia] + (a - _F(ia)) * fraction[y, ia]
+            high = total[ib] + (b - _F(ib)) * fraction[y, ib]
             out[y, x] = (high - low) / (b - a)
     return out

@@ -12,13 +12,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from arfx.core.memo import memo_of
 from arfx.core.numerics import divide, normalise
 from arfx.core.pose import Pose
 from arfx.core.scene import Scene
-from arfx.stages.light.plane_shadow import SoftPicture
+from arfx.stages.light.plane_lookup import PlaneTexture
 from arfx.stages.light.surface_grid import SurfaceGrid
 from arfx.stages.light.surfels import Hits, ObjectRays, surfels_of
 
@@ -46,24 +47,35 @@ class SoftVisibility:
         )
 
 
-def hidden_parts(hits: Hits, plane: SoftPicture) -> np.ndarray:
+def hidden_parts(hits: Hits, plane: PlaneTexture) -> np.ndarray:
     """(n, 4) of the light on a surface that is hidden: of 1 and of the three coordinates.
 
-    plane : what the plane is darkened by"""
+    plane : what the plane is darkened by, as `soft_picture`"""
     directions, starts = hits.directions, hits.starts
     down = np.maximum(-directions[..., 2], 1e-6)
     # from under the plane, where it is not seen: no seam
     along = np.abs(starts[..., 2]) / down
     meets = (directions[..., 2] < 0)[..., None]
     places = starts[..., :2] + along[..., None] * directions[..., :2]
-    dark = plane.even_at(np.where(meets, places, _NOWHERE_M))
+    (sx, _, x0), (_, sy, y0) = plane.texel_from_m
+    texels = np.where(meets, places, _NOWHERE_M) * [sx, sy] + [x0, y0]
+    x, y = np.moveaxis(texels.clip(-9, 9e3).astype(np.float32), -1, 0)
+    dark = cv2.remap(
+        plane.dark[0],
+        x.copy(),
+        y.copy(),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+    )
     weight = np.where(hits.face >= 0, 1, dark)
     count = directions.shape[1]
     moments = (weight[..., None] * directions).sum(1)
     return np.column_stack([weight.sum(1), moments]) / count
 
 
-def soft_visibility(scene: Scene, rays: ObjectRays, plane: SoftPicture) -> SoftVisibility:
+def soft_visibility(
+    scene: Scene, rays: ObjectRays, plane: PlaneTexture
+) -> SoftVisibility:
     """Kept with the model. plane : of `hidden_parts`"""
 
     def make() -> SoftVisibility:
@@ -102,7 +114,7 @@ def visible_fraction(
 def visible_fraction_by_rays(
     layers: tuple[np.ndarray, np.ndarray, np.ndarray],
     rays: ObjectRays,
-    plane: SoftPicture,
+    plane: PlaneTexture,
     anchor_from_world: Pose,
     shape: tuple[float, float, float],
 ) -> np.ndarray:

@@ -17,6 +17,7 @@ import numpy as np
 
 from arfx.core.compiled import FAST, line_kernel
 from arfx.core.layers import packed
+from arfx.core.numerics import divide
 from arfx.core.pose import Pose
 from arfx.core.vectors import placed, shifted, turned
 
@@ -92,11 +93,7 @@ class SurfaceGrid:
         columns = np.tile(np.arange(len(points)), 64)
         entries = np.concatenate(shares), (np.concatenate(rows), columns)
         table = csr_array(entries, shape=(z * y * x, len(points)))
-        total = np.asarray(table.sum(1)).ravel()
-        scaled = (
-            diags_array(np.divide(1, total, where=total > 0, out=np.zeros_like(total)))
-            @ table
-        )
+        scaled = diags_array(divide(1, table.sum(1))) @ table
         scaled.data[scaled.data < _FAR] = 0
         scaled.eliminate_zeros()
         return csr_array(scaled.astype(np.float32))

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from arfx.core.colour import SRGB
-from arfx.core.model import CLAMP, MIRROR, Material, Texture
+from arfx.core.model import CLAMP, MIRROR, Material
 from arfx.core.numerics import normalise
 from arfx.core.parallel import parallel_map
 from arfx.core.sampling import GOLDEN_RAD, frame_about, hemisphere, r2
@@ -143,9 +143,11 @@ class ObjectRays:
             ]
             origins = np.broadcast_to(starts, directions.shape).reshape(-1, 3)
             face, distance = self.first_hits(origins, directions.reshape(-1, 3))
-            face, shape = face.reshape(directions.shape[:2]), directions.shape[:2]
-            distance = np.where(face >= 0, distance.reshape(shape), np.float32(np.inf))
-            return Hits(rows, starts, directions, face, distance)
+            distance = np.where(face >= 0, distance, np.float32(np.inf))
+            shape = directions.shape[:2]
+            return Hits(
+                rows, starts, directions, face.reshape(shape), distance.reshape(shape)
+            )
 
         yield from parallel_map(part, range(0, len(points), step))
 
@@ -257,19 +259,14 @@ def texels_of(mesh: SceneMesh, name: str, part: np.ndarray, uv: np.ndarray) -> n
         texture = material.textures.get(name)
         if texture is not None and mesh.has_uv[k, texture.uv_set]:
             rows, first = part == k, 2 * texture.uv_set
-            matrix = texture.picture_from_uv
+            matrix, size = texture.picture_from_uv, texture.picture.shape[1::-1]
             places = uv[rows, first : first + 2] @ matrix[:, :2].T + matrix[:, 2]
-            out[rows] = texels_at(texture, places)
+            column, row = (
+                np.minimum(wrapped(t, wrap) * n, n - 1).astype(int)
+                for t, wrap, n in zip(places.T, texture.wrap, size, strict=True)
+            )
+            out[rows] = texture.picture[row, column]
     return out
-
-
-def texels_at(texture: Texture, places: np.ndarray) -> np.ndarray:
-    """(n, 4) uint8 nearest texels at places (n, 2) on a texture's picture."""
-    size = np.array(texture.picture.shape[1::-1])
-    along_u, along_v = places.T
-    u, v = wrapped(along_u, texture.wrap[0]), wrapped(along_v, texture.wrap[1])
-    column, row = np.minimum(np.stack([u, v], -1) * size, size - 1).astype(int).T
-    return np.asarray(texture.picture[row, column])
 
 
 def wrapped(t: np.ndarray, wrap: str) -> np.ndarray:

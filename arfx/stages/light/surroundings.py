@@ -13,7 +13,6 @@ Source: docs/methods/gi.md#environment."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -69,8 +68,6 @@ class SurroundingParts:
 
     def towards(self, other: SurroundingParts, share: float) -> SurroundingParts:
         """The mixture with `share` of the other."""
-        if share == 0:
-            return self
         a, b = np.float32(1 - share), np.float32(share)
         return SurroundingParts(
             a * self.texels + b * other.texels,
@@ -94,10 +91,17 @@ class FrameSurroundings:
     axes: np.ndarray
 
     def environment(self) -> Environment:
-        """Filtered, as surfaces of any roughness mirror it."""
-        return environment_of(
-            _weighed(self.parts.texels, self.narrow, self.wide), self.axes
-        )
+        """Filtered, as surfaces of any roughness mirror it: the sum of the parts, each level
+        between the two brightnesses.
+        """
+        texels = self.parts.texels
+        out = np.empty(texels.shape[1:], np.float32)
+        for rows, roughness in zip(level_slices(), ROUGHNESSES, strict=True):
+            half_angle = np.sqrt(8) * np.arctan(roughness**2)
+            share = np.clip((half_angle - _NARROW_RAD) / (_WIDE_RAD - _NARROW_RAD), 0, 1)
+            weights = ((1 - share) * self.narrow + share * self.wide).astype(np.float32)
+            np.einsum("pnc,pc->nc", texels[:, rows], weights, out=out[rows])
+        return environment_of(out, self.axes)
 
     def cube(self, factors: np.ndarray) -> np.ndarray:
         """(6, n, n, 3) radiance of the parts by `narrow` or `wide`; not filtered."""
@@ -133,30 +137,24 @@ def frame_surroundings(
         else np.round(axes @ up / _UP_STEP) * _UP_STEP
     )
 
-    def parts(name: str | None) -> SurroundingParts:
-        rgba = None if name is None else seen_map(name, scene)
-        cube = _guess_of(guess, light)
-        return parts_of(rgba, cube, cube_up, plane is not None)
+    own = (
+        _soft_shape(light).tobytes()
+        if guess is None
+        else (guess.data, guess.size, plane is None)
+    )
 
     def kept(name: str | None) -> SurroundingParts:
-        own = (
-            _soft_shape(light).tobytes()
-            if guess is None
-            else (guess.data, guess.size, plane is None)
-        )
+        def make() -> SurroundingParts:
+            rgba = None if name is None else seen_map(name, scene)
+            return parts_of(rgba, _guess_of(guess, light), cube_up, plane is not None)
+
         key = name, own, cube_up.tobytes()
-        memo = memo_of(scene)
-        found: SurroundingParts = memo.get(
-            key, partial(parts, name), "surroundings", _KEPT
-        )
+        found: SurroundingParts = memo_of(scene).get(key, make, "surroundings", _KEPT)
         return found
 
-    if seen is None:
-        mixed = kept(None)
-    else:
-        mixed = kept(seen.maps[0])
-        if seen.share > 0:
-            mixed = mixed.towards(kept(seen.maps[1]), seen.share)
+    mixed = kept(None if seen is None else seen.maps[0])
+    if seen is not None and seen.share > 0:
+        mixed = mixed.towards(kept(seen.maps[1]), seen.share)
     plane_rgb = _radiance(np.zeros(3) if plane is None else np.array(plane))
     narrow, wide = brightness(mixed, light, light.soft_radiance(up), plane_rgb)
     return FrameSurroundings(mixed, narrow, wide, axes)
@@ -217,17 +215,6 @@ def _radiance(values: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(values), np.clip(values, 0, None), 0)
 
 
-def _weighed(texels: np.ndarray, narrow: np.ndarray, wide: np.ndarray) -> np.ndarray:
-    """(n, 3) float32: the sum of the parts, each level between the two brightnesses."""
-    out = np.empty(texels.shape[1:], np.float32)
-    for rows, roughness in zip(level_slices(), ROUGHNESSES, strict=True):
-        half_angle = np.sqrt(8) * np.arctan(roughness**2)
-        share = np.clip((half_angle - _NARROW_RAD) / (_WIDE_RAD - _NARROW_RAD), 0, 1)
-        weights = ((1 - share) * narrow + share * wide).astype(np.float32)
-        np.einsum("pnc,pc->nc", texels[:, rows], weights, out=out[rows])
-    return out
-
-
 def seen_map(name: str, scene: Scene) -> np.ndarray:
     """(6, n, n, 4) float32 of the scene's maps.
 
@@ -239,11 +226,13 @@ def seen_map(name: str, scene: Scene) -> np.ndarray:
             "analyse the clip again",
         )
     rgba = np.asarray(scene.environment_maps[name], np.float32)
-    if not np.isfinite(rgba).all() or rgba.min() < 0:
-        raise RenderError(
-            "facts: an environment map holds values that are not finite and >= 0"
-        )
-    return resampled(rgba, SIDES[0])
+    return resampled(_checked(rgba, "an environment map"), SIDES[0])
+
+
+def _checked(radiance: np.ndarray, name: str) -> np.ndarray:
+    if not np.isfinite(radiance).all() or (radiance < 0).any():
+        raise RenderError(f"facts: {name} holds values that are not finite and >= 0")
+    return radiance
 
 
 def checked_faces(environment: CubeMap) -> np.ndarray:
@@ -251,12 +240,7 @@ def checked_faces(environment: CubeMap) -> np.ndarray:
 
     Raises RenderError for values that are not finite and >= 0.
     """
-    cube = environment.faces().astype(float)
-    if not np.isfinite(cube).all() or (cube < 0).any():
-        raise RenderError(
-            "facts: the environment holds values that are not finite and >= 0"
-        )
-    return cube
+    return _checked(environment.faces().astype(float), "the environment")
 
 
 def above_horizon(size: int, up: np.ndarray) -> np.ndarray:

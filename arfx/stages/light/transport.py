@@ -14,7 +14,7 @@ docs/methods/gi.md#transport.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -86,65 +86,56 @@ class Transport:
         self._texel_normals = np.repeat(planes.axes[:, 3].astype(float), level.side**2, 0)
         traced = [*rays.over(points, normals, level.rays)]
         met = np.concatenate([(hits.face >= 0).mean(1) for hits in traced])
-        seen = np.concatenate([_open(hits).mean(1) for hits in traced])
+        # over the anchor's plane, as cameras see a surfel, which counts by that
+        seen = np.concatenate(
+            [((hits.face < 0) & (hits.directions[..., 2] > 0)).mean(1) for hits in traced]
+        )
         weights = self.surfels.area * np.maximum(seen, _LEAST_SEEN)
         self.grid = SurfaceGrid(points, normals, weights, level.cells)
+        self._node_count = int(np.prod(self.grid.shape))
         self.occluded = self.grid.nodes(met[:, None])
         self.colours = self.grid.nodes(self.surfels.albedo)
-        self._of_surfels = self._matrix(len(points), *self._columns(traced))
+        everything = self._node_count + len(self.texels) + 6 * SKY * SKY
+        row, met, *_ = self._met(traced, None)
+        self._of_surfels = self._shares(row, met, (len(points), everything))
         self._from_around = self._of_surfels[:, self._node_count :]
+        count, side = len(self.texels), level.side
         lifted = rays.over(self.texels, self._texel_normals, level.rays)
-        self._trace_planes([*lifted])
-
-    @property
-    def _node_count(self) -> int:
-        return int(np.prod(self.grid.shape))
-
-    def _trace_planes(self, traced: Sequence[Hits]) -> None:
-        count, side = len(self.texels), self.level.side
-        own = np.repeat(np.arange(len(self.planes.axes)), side**2)
-        rows, to, past, beside, without = [], [], [], [], []
-        for hits in traced:
-            behind, distance = self._beyond(hits, own[hits.rows])
-            nearer = hits.distance < distance
-            row, ray = np.nonzero(nearer)
-            rows.append(row + hits.rows.start)
-            to.append(self._nodes_met(hits, nearer))
-            past.append(behind[row, ray])
-            if len(self.planes.axes) > 1:
-                numbers = np.arange(hits.rows.start, hits.rows.stop)
-                number = np.broadcast_to(numbers[:, None], behind.shape)
-                other = np.isfinite(distance) & ~nearer
-                beside.append((number[other], behind[other]))
-                without.append((number.ravel(), behind.ravel()))
-        self._beside = self._joined(count, beside)
-        self._without = self._joined(count, without)
-        row = np.concatenate(rows)
-        self._to_object = self._matrix(count, row, np.concatenate(to))
-        self._past_object = self._matrix(count, row, np.concatenate(past))
-        shares = np.bincount(row, minlength=count) / self.level.rays
+        own = np.repeat(np.arange(len(planes.axes)), side**2)
+        row, met, behind, nearer, of_plane = self._met(lifted, own)
+        shape = count, everything
+        self._to_object = self._shares(row[nearer], met[nearer], shape)
+        self._past_object = self._shares(row[nearer], behind[nearer], shape)
+        self._beside = self._without = None
+        if len(planes.axes) > 1:
+            other = of_plane & ~nearer
+            self._beside = self._shares(row[other], behind[other], shape)
+            self._without = self._shares(row, behind, shape)
+        shares = np.bincount(row[nearer], minlength=count) / level.rays
         self.hidden = shares.reshape(-1, side, side)
 
-    def _joined(
-        self, count: int, parts: list[tuple[np.ndarray, np.ndarray]]
-    ) -> csr_array | None:
-        """None where there is one plane."""
-        if not parts:
-            return None
-        row, column = (np.concatenate(values) for values in zip(*parts, strict=True))
-        return self._matrix(count, row, column)
-
-    def _columns(self, traced: Sequence[Hits]) -> tuple[np.ndarray, np.ndarray]:
-        """(row, column) of each ray of surfels: what it meets."""
-        rows, columns = [], []
+    def _met(self, traced: Iterable[Hits], own: np.ndarray | None) -> list[np.ndarray]:
+        """Of every ray, (rays,) each: its place's row; the column of what it meets, and of
+        what it would meet without the object; whether it meets the object, and whether a
+        plane is behind. own : as of `_beyond`, of all rows
+        """
+        parts = []
         for hits in traced:
-            column, distance = self._beyond(hits, None)
-            nearer = hits.distance < distance
-            column[nearer] = self._nodes_met(hits, nearer)
-            first, last = hits.rows.start, hits.rows.stop
-            rows.append(np.repeat(np.arange(first, last), column.shape[1]))
-            columns.append(column.ravel())
-        return np.concatenate(rows), np.concatenate(columns)
+            behind, distance = self._beyond(hits, None if own is None else own[hits.rows])
+            nearer, met = hits.distance < distance, behind.copy()
+            met[nearer] = self._nodes_met(hits, nearer)
+            row = np.repeat(np.arange(hits.rows.start, hits.rows.stop), met.shape[1])
+            fields = met, behind, nearer, np.isfinite(distance)
+            parts.append([row, *(a.ravel() for a in fields)])
+        return [np.concatenate(a) for a in zip(*parts, strict=True)]
+
+    def _shares(
+        self, row: np.ndarray, column: np.ndarray, shape: tuple[int, int]
+    ) -> csr_array:
+        from scipy.sparse import csr_array
+
+        share = np.full(len(row), 1 / self.level.rays, np.float32)
+        return csr_array((share, (row, column)), shape=shape)
 
     def _nodes_met(self, hits: Hits, nearer: np.ndarray) -> np.ndarray:
         """Node of the grid beside each place of the object that rays meet."""
@@ -193,13 +184,6 @@ class Transport:
         column = np.minimum((x + 1) / 2 * side, side - 1).astype(int)
         row = np.minimum((y + 1) / 2 * side, side - 1).astype(int)
         return np.asarray((plane * side + row) * side + column)
-
-    def _matrix(self, count: int, row: np.ndarray, column: np.ndarray) -> csr_array:
-        from scipy.sparse import csr_array
-
-        share = np.full(len(row), 1 / self.level.rays, np.float32)
-        columns = self._node_count + len(self.texels) + 6 * SKY * SKY
-        return csr_array((share, (row, column)), shape=(count, columns))
 
     def solve(
         self, scene: Scene, light: Light, picture: np.ndarray, sky: np.ndarray
@@ -274,13 +258,6 @@ class Transport:
             rise = np.clip(self._texel_normals @ towards, 0, None)
             shadow += (rise * (1 - rays.open_fraction(texels, many)))[:, None] * rgb
         return on_surfels, shadow
-
-
-def _open(hits: Hits) -> np.ndarray:
-    """(n, k) rays over the anchor's plane that meet nothing: as cameras see a surfel, which
-    counts by that.
-    """
-    return np.asarray((hits.face < 0) & (hits.directions[..., 2] > 0))
 
 
 def _stacked(*parts: np.ndarray) -> np.ndarray:

@@ -29,10 +29,11 @@ from arfx.stages.lightmap.shading import (
     towards_eye,
 )
 
-_F0 = np.float32(0.04)  # of varnish
+_F = np.float32
+_F0 = _F(0.04)  # of varnish
 _LEAST_SHEEN = 0.07  # roughness of fibres
-_PER_ROOT_2PI = np.float32(0.3989422804)
-_TINY = np.float32(1e-12)
+_PER_ROOT_2PI = _F(0.3989422804)
+_TINY = _F(1e-12)
 
 
 @line_kernel(fastmath=FAST)
@@ -42,18 +43,16 @@ def sheen_reflected(roughness, n_v):  # pragma: no cover - compiled
     Source: the fit of MaterialX 1.39.
     """
     y, y2 = roughness, roughness * roughness
-    width = y * (np.float32(0.0206607) + np.float32(1.58491) * y)
-    width /= np.float32(0.0379424) + y * (np.float32(1.32227) + y)
-    middle = np.float32(1.7932) - np.float32(0.95943) * y2
-    middle = np.float32(-0.193854) + y * (np.float32(-1.14885) + y * middle)
-    middle *= y / (np.float32(0.046391) + y)
-    least = (
-        np.float32(0.000654023) + (np.float32(-0.0207818) + np.float32(0.119681) * y) * y
-    )
-    least *= y / (np.float32(1.26264) + y * (np.float32(-1.92021) + y))
+    width = y * (_F(0.0206607) + _F(1.58491) * y)
+    width /= _F(0.0379424) + y * (_F(1.32227) + y)
+    middle = _F(1.7932) - _F(0.95943) * y2
+    middle = _F(-0.193854) + y * (_F(-1.14885) + y * middle)
+    middle *= y / (_F(0.046391) + y)
+    least = _F(0.000654023) + (_F(-0.0207818) + _F(0.119681) * y) * y
+    least *= y / (_F(1.26264) + y * (_F(-1.92021) + y))
     off = (n_v - middle) / width
-    reflected = np.exp(np.float32(-0.5) * off * off) * _PER_ROOT_2PI / width + least
-    return min(max(reflected, np.float32(0)), np.float32(1))
+    reflected = np.exp(_F(-0.5) * off * off) * _PER_ROOT_2PI / width + least
+    return min(max(reflected, _F(0)), _F(1))
 
 
 @line_kernel(fastmath=FAST)
@@ -64,12 +63,12 @@ def sheen_lobe(roughness, n_v, n_l, v_l):  # pragma: no cover - compiled
     v_l : cosine between eye and lamp. A cosine lobe, linearly transformed; its fit is
     MaterialX 1.39's.
     """
-    one, zero = np.float32(1), np.float32(0)
+    one, zero = _F(1), _F(0)
     x, y, y2 = n_v, roughness, roughness * roughness
-    wide = (np.float32(2.58126) * x + np.float32(0.813703) * y) * y
-    wide /= one + np.float32(0.310327) * x * x + np.float32(2.60994) * x * y
-    tilt = np.float32(0.0000254053) + np.float32(1.71228) * x
-    tilt += np.float32(1.34174) * y2 - np.float32(1.71506) * x * y
+    wide = (_F(2.58126) * x + _F(0.813703) * y) * y
+    wide /= one + _F(0.310327) * x * x + _F(2.60994) * x * y
+    tilt = _F(0.0000254053) + _F(1.71228) * x
+    tilt += _F(1.34174) * y2 - _F(1.71506) * x * y
     tilt = np.sqrt(max(one - x, zero)) * (y - one) * y2 * y / tilt
     forth = (v_l - n_v * n_l) / np.sqrt(
         max(one - n_v * n_v, _TINY)
@@ -89,7 +88,7 @@ def add_sheen(
 
     sheen (h, w, 4) : colour, roughness;  the others : of `shade`
     """
-    zero, one = np.float32(0), np.float32(1)
+    zero, one = _F(0), _F(1)
     light = np.empty(3, np.float32)
     for y in range(out.shape[0]):
         for x in range(out.shape[1]):
@@ -98,8 +97,8 @@ def add_sheen(
             if not (cover > zero and most > zero):
                 continue
             normal, view = towards_eye(surface, eye, y, x)
-            n_v = max(dot(normal, view), np.float32(1e-3))
-            rough = max(sheen[y, x, 3], np.float32(_LEAST_SHEEN))
+            n_v = max(dot(normal, view), _F(1e-3))
+            rough = max(sheen[y, x, 3], _F(_LEAST_SHEEN))
             reflected = sheen_reflected(rough, n_v)
             share = reflected * lights.soft_visibility[y, x]
             for c in range(3):
@@ -137,7 +136,7 @@ def add_clear_coat(
 
     coat (h, w, 2) : how much, roughness;  the others : of `shade`
     """
-    zero, one, two = np.float32(0), np.float32(1), np.float32(2)
+    zero, one, two = _F(0), _F(1), _F(2)
     light = np.empty(3, np.float32)
     for y in range(out.shape[0]):
         for x in range(out.shape[1]):
@@ -146,8 +145,8 @@ def add_clear_coat(
                 continue
             normal, view = towards_eye(surface, eye, y, x)
             facing = dot(normal, view)
-            n_v = max(facing, np.float32(1e-3))
-            rough = max(coat[y, x, 1], np.float32(SMOOTHEST))
+            n_v = max(facing, _F(1e-3))
+            rough = max(coat[y, x, 1], _F(SMOOTHEST))
             direct, grazing = table_entry(table, rough, n_v)
             reflected = amount * (_F0 * direct + grazing)
             mirrored = minus(scaled(two * facing, normal), view)

@@ -25,6 +25,7 @@ from arfx.stages.light.caster import Caster
 from arfx.stages.light.silhouette import height_map
 from arfx.stages.triangles import Triangles
 
+_F = np.float32
 _EMPTY = -1e9
 _LIFT_TEXELS = 1.5
 _LIFT_SAGS = 2.0
@@ -71,14 +72,14 @@ def depth_map(caster: Caster, beam: Beam) -> DepthMap:
         np.ascontiguousarray(a, np.float32)
         for a in (caster.vertices @ matrix[:, :3].T + matrix[:, 3]).T
     )
-    depth = height_map(u, v, h, caster.faces, MAP_TEXELS, MAP_TEXELS, np.float32(_EMPTY))
+    depth = height_map(u, v, h, caster.faces, MAP_TEXELS, MAP_TEXELS, _F(_EMPTY))
     spread = np.tan(np.radians(beam.size_deg / 2))
     lift = _LIFT_TEXELS + _LIFT_SAGS * caster.sag_m / pitch
     return DepthMap(
         depth,
         matrix,
         axes,
-        *(np.float32(a) for a in (spread, lift, caster.facet_slope, depth.max())),
+        *(_F(a) for a in (spread, lift, caster.facet_slope, depth.max())),
     )
 
 
@@ -141,8 +142,8 @@ def _percentage_closer(
     out, coverage, normal, position, seen: DepthMap, search, taps
 ):  # pragma: no cover - compiled
     """out (h, w) : of the pixels that are covered and face the light"""
-    zero, one = np.float32(0), np.float32(1)
-    least = np.float32(_NARROWEST)
+    zero, one = _F(0), _F(1)
+    least = _F(_NARROWEST)
     for y in range(out.shape[0]):
         for x in range(out.shape[1]):
             if not coverage[y, x] > zero:
@@ -150,19 +151,19 @@ def _percentage_closer(
             across, down, facing = turned(seen.unit, normal[y, x])
             if not facing > zero:
                 continue
-            facing = max(facing, np.float32(0.15))
+            facing = max(facing, _F(0.15))
             tilt = across / facing, down / facing
             place = placed(seen.matrix, position[y, x])
             place = shifted(place, seen.lift, (across, down, facing))
             widest = seen.spread * (seen.top - place[2])
-            radius = min(max(widest, least), np.float32(_WIDEST))
+            radius = min(max(widest, least), _F(_WIDEST))
             blockers, depths = _blockers(seen, place, tilt, search, radius)
-            share = blockers / np.float32(search.shape[1])
+            share = blockers / _F(search.shape[1])
             if share > zero and share < one:
                 penumbra = seen.spread * (depths / blockers - place[2])
                 radius = min(max(penumbra, least), radius)
                 blockers, _ = _blockers(seen, place, tilt, taps, radius)
-                share = blockers / np.float32(taps.shape[1])
+                share = blockers / _F(taps.shape[1])
             out[y, x] = one - share
 
 
@@ -171,16 +172,16 @@ def _blockers(seen: DepthMap, place, tilt, points, radius):  # pragma: no cover 
     """(how many, sum of their depths) of the map's texels at `points` (2, k) of a disc that
     are nearer to the light than the plane through `place` whose depth falls by `tilt`."""
     texels, side = seen.depth.reshape(-1), np.int32(seen.depth.shape[0])
-    half, last = np.float32(0.5), np.float32(side - 1)
-    count, total = np.float32(0), np.float32(0)
+    half, last = _F(0.5), _F(side - 1)
+    count, total = _F(0), _F(0)
     for k in range(points.shape[1]):
-        u = min(max(place[0] + points[0, k] * radius, np.float32(0)), last)
-        v = min(max(place[1] + points[1, k] * radius, np.float32(0)), last)
+        u = min(max(place[0] + points[0, k] * radius, _F(0)), last)
+        v = min(max(place[1] + points[1, k] * radius, _F(0)), last)
         column, row = np.int32(u + half), np.int32(v + half)
-        du, dv = np.float32(column) - place[0], np.float32(row) - place[1]
+        du, dv = _F(column) - place[0], _F(row) - place[1]
         edge = place[2] - tilt[0] * du - tilt[1] * dv + seen.slope * (abs(du) + abs(dv))
         depth = texels[np.uintp(row * side + column)]
-        hit = np.float32(depth > edge)
+        hit = _F(depth > edge)
         count += hit
         total += hit * depth
     return count, total

@@ -22,8 +22,9 @@ from arfx.core.vectors import dot, minus, scaled, shifted, unit, vector
 from arfx.stages.light.environment import Environment, radiance
 from arfx.stages.light.split_sum import table_entry
 
+_F = np.float32
 SMOOTHEST = 0.05  # roughness: a smoother lobe lies between two pixels
-_TINY = np.float32(1e-12)
+_TINY = _F(1e-12)
 
 
 class Surface(NamedTuple):
@@ -77,11 +78,11 @@ def ggx_reflection(alpha2, wide, n_h, n_v, n_l):  # pragma: no cover - compiled
     alpha2 : roughness^4;  wide : the same with the lamp's own size;  n_h, n_v, n_l :
     cosines of half-vector, eye and lamp
     Source: Walter et al. 2007 (GGX), Heitz 2014 (height-correlated shadowing)."""
-    one = np.float32(1)
+    one = _F(1)
     spread = n_h * n_h * (wide - one) + one
     eye = n_l * np.sqrt(n_v * n_v * (one - alpha2) + alpha2)
     lamp = n_v * np.sqrt(n_l * n_l * (one - alpha2) + alpha2)
-    return np.float32(0.5) * n_l * wide / max(spread * spread * (eye + lamp), _TINY)
+    return _F(0.5) * n_l * wide / max(spread * spread * (eye + lamp), _TINY)
 
 
 @line_kernel(fastmath=FAST)
@@ -90,10 +91,8 @@ def soft_radiance(soft, channel, normal):  # pragma: no cover - compiled
     c, (x, y, z) = channel, normal
     light = soft[0, c] + soft[1, c] * y + soft[2, c] * z + soft[3, c] * x
     light += soft[4, c] * x * y + soft[5, c] * y * z + soft[7, c] * x * z
-    light += soft[6, c] * (np.float32(3) * z * z - np.float32(1)) + soft[8, c] * (
-        x * x - y * y
-    )
-    return max(light, np.float32(0))
+    light += soft[6, c] * (_F(3) * z * z - _F(1)) + soft[8, c] * (x * x - y * y)
+    return max(light, _F(0))
 
 
 @line_kernel(fastmath=FAST)
@@ -102,12 +101,12 @@ def mirrored_share(visible, n_v, roughness):  # pragma: no cover - compiled
     of the soft light.
 
     Source: Lagarde and de Rousiers 2014, listing 26, its power taken as its tangent."""
-    one = np.float32(1)
+    one = _F(1)
     smooth = one - min(roughness, one)
     smooth *= smooth
     smooth *= smooth
-    turned = np.float32(0.5) * smooth * smooth * (n_v + visible - one)
-    return min(max(visible + turned, np.float32(0)), one)
+    turned = _F(0.5) * smooth * smooth * (n_v + visible - one)
+    return min(max(visible + turned, _F(0)), one)
 
 
 @line_kernel(fastmath=FAST)
@@ -117,10 +116,10 @@ def reflected_shares(
     """(matt, coat, direct, grazing, lost): shares of even light, of the matt part, of what
     a dielectric mirrors, the split sum's two, and how much single reflections lose of white
     over what they mirror."""
-    one, two = np.float32(1), np.float32(2)
+    one, two = _F(1), _F(2)
     direct, grazing = table_entry(table, roughness, n_v)
     lost = one / (direct + grazing) - one
-    varnish = np.float32(0.08) * specular
+    varnish = _F(0.08) * specular
     coat = varnish * direct + min(two * specular, one) * grazing
     coat = min(coat * (one + varnish * lost), one)
     return (one - metal) * (one - coat), coat, direct, grazing, lost
@@ -136,9 +135,9 @@ def towards_eye(surface: Surface, eye, y, x):  # pragma: no cover - compiled
 def half_vector(n_v, n_l, v_l):  # pragma: no cover - compiled
     """(its cosine to the normal, 1 less its cosine to eye and lamp), from cosines of the
     normal, the eye and the lamp to each other."""
-    half, one = np.float32(0.5), np.float32(1)
+    half, one = _F(0.5), _F(1)
     v_h = np.sqrt(max(half * (one + v_l), _TINY))
-    return min(max(half * (n_v + n_l) / v_h, np.float32(0)), one), one - min(v_h, one)
+    return min(max(half * (n_v + n_l) / v_h, _F(0)), one), one - min(v_h, one)
 
 
 def shade(
@@ -174,7 +173,7 @@ def _shade(
 ):  # pragma: no cover - compiled
     coverage, _, _, albedo, material, emissive = surface
     towards, rgb, widths, visibility, soft_visibility = lights
-    zero, one, two = np.float32(0), np.float32(1), np.float32(2)
+    zero, one, two = _F(0), _F(1), _F(2)
     for y in range(coverage.shape[0]):
         for x in range(coverage.shape[1]):
             cover = coverage[y, x]
@@ -182,14 +181,14 @@ def _shade(
                 continue
             normal, view = towards_eye(surface, eye, y, x)
             facing = dot(normal, view)
-            n_v = max(facing, np.float32(1e-3))
+            n_v = max(facing, _F(1e-3))
             metal, rough, specular = (
                 material[y, x, 0],
                 material[y, x, 1],
                 material[y, x, 2],
             )
-            rough = max(rough, np.float32(SMOOTHEST))
-            base = np.float32(0.08) * specular * (one - metal)
+            rough = max(rough, _F(SMOOTHEST))
+            base = _F(0.08) * specular * (one - metal)
             # at grazing angles all is mirrored, unless the material is set not to be glossy
             # at all (F0 under 4 %)
             edge = metal + (one - metal) * min(two * specular, one)

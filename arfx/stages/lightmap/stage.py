@@ -32,12 +32,18 @@ from arfx.stages.light.bumps import share_above_surface, smooth_normal
 from arfx.stages.light.plane_lookup import PlaneTexture, PlaneView, shadow_ratio
 from arfx.stages.light.plane_shadow import (
     PLANE_LEVELS,
-    SoftPicture,
     beam_textures,
     plane_shadow_texture,
+    under_light,
     within_surface,
 )
-from arfx.stages.light.region import ShadowRegion, shadow_region
+from arfx.stages.light.region import (
+    ShadowRegion,
+    darkest,
+    plane_rect,
+    shadow_region,
+    unevenness,
+)
 from arfx.stages.light.soft_visibility import (
     SoftVisibility,
     soft_visibility,
@@ -47,7 +53,6 @@ from arfx.stages.light.soft_visibility import (
 from arfx.stages.light.split_sum import split_sum
 from arfx.stages.light.surroundings import frame_environment
 from arfx.stages.lightmap.coats import add_clear_coat, add_sheen
-from arfx.stages.lightmap.reach import darkest, plane_rect, unevenness
 from arfx.stages.lightmap.self_shadow import (
     depth_map,
     visibility_by_map,
@@ -96,7 +101,7 @@ class Prepared:
     """
 
     region: ShadowRegion
-    soft: tuple[SoftPicture, ...]
+    soft: tuple[PlaneTexture, ...]
     visibility: SoftVisibility | None
     grid: np.ndarray
 
@@ -258,33 +263,30 @@ class Lightmap(Stage):
             or strength * darkest(light, scene) <= self._shows_from
         ):
             return Pixels(view.out, neutral(Layer.SHADOW, view.out))
-        memo, surface_m = view.memo.of_light, scene.surface_m
+        memo = view.memo.of_light
 
         def textures(
             key: Beam | tuple[float, ...],
             make: Callable[[], Iterable[PlaneTexture]],
             kind: str = "",
-        ) -> tuple[PlaneTexture, ...]:
+        ) -> list[PlaneTexture]:
             """Kept by what casts the shadow, within the surface."""
-
-            def within() -> tuple[PlaneTexture, ...]:
-                return tuple(within_surface(texture, surface_m) for texture in make())
-
-            kept: tuple[PlaneTexture, ...] = memo.get(("plane", key), within, kind)
+            kept: list[PlaneTexture] = memo.get(
+                ("plane", key), lambda: within_surface(make(), scene.surface_m), kind
+            )
             return kept
 
-        shape, caster, level = (
-            light.shape,
-            prepared.region.caster,
-            PLANE_LEVELS[view.level],
+        shape, caster = light.shape, prepared.region.caster
+        level = PLANE_LEVELS[view.level]
+        soft = textures(
+            shape, lambda: (under_light(p, shape) for p in prepared.soft), "soft"
         )
-        soft = textures(shape, lambda: (p.under(shape) for p in prepared.soft), "soft")
         ambient = np.float32(self.soft) * light.ambient_fraction
         lamps: list[PlaneTexture] = []
         weights = [ambient] * len(soft)
         for beam, fraction in zip(light.beams, light.direct_fractions, strict=True):
             if beam.direction[2] > 0 and fraction.max() > 0:
-                make = partial(beam_textures, caster, beam, level, self.hard)
+                make = partial(beam_textures, caster, beam, level)
                 lamps += (found := textures(beam, make))
                 weights += [fraction] * len(found)
         real = view.facts.plane_shadow
@@ -307,48 +309,33 @@ class Lightmap(Stage):
         if eye[2] <= 0:
             return EMPTY, "no shadow: plane seen from behind"
         most = self.params.shadow_strength * region.caster.opacity * darkest(light, scene)
-        share = 100 * most
+        light_of_plane = "% of the plane's light"
         if most <= least:
             return (
                 EMPTY,
-                f"no shadow: the object takes at most {share:.1f} % of the plane's light",
+                f"no shadow: the object takes at most {100 * most:.1f} {light_of_plane}",
             )
-        fractions = light.direct_fractions.max(1) if light.beams else ()
+        fractions = light.direct_fractions.max(1)
         beams = tuple(
             beam
             for beam, fraction in zip(light.beams, fractions, strict=True)
             if fraction > self.faint and beam.direction[2] > 0
         )
         soft = float(light.ambient_fraction.max()) * unevenness(light)
-        steps = max(
-            np.ceil(soft * _SOFT_STEPS), 1
-        )  # so that frames of a like light share an outline
+        # so that frames of a like light share an outline
+        steps = max(np.ceil(soft * _SOFT_STEPS), 1)
         outline = region.outline_m(least * _SOFT_STEPS / steps, beams)
         if not len(outline):
-            part = 100 * least
-            return (
-                EMPTY,
-                (
-                    f"no shadow: nowhere does the object take {part:.1f} % of the plane's"
-                    " light"
-                ),
-            )
+            part = f"{100 * least:.1f} {light_of_plane}"
+            return EMPTY, f"no shadow: nowhere does the object take {part}"
         rect = plane_rect(outline, facts, scene).clip(frame)
         if scene.surface_m is not None:
             x0, y0, x1, y1 = scene.surface_m
-            rect = rect.clip(
-                plane_rect(
-                    np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]), facts, scene
-                )
-            )
-        return (
-            rect,
-            (
-                f"shadow takes up to {share:.0f} % of the plane's light"
-                if not rect.empty
-                else "shadow out of view"
-            ),
-        )
+            corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+            rect = rect.clip(plane_rect(corners, facts, scene))
+        if rect.empty:
+            return rect, "shadow out of view"
+        return rect, f"shadow takes up to {100 * most:.0f} {light_of_plane}"
 
     @property
     def _shows_from(self) -> float:

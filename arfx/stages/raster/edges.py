@@ -15,7 +15,7 @@ from arfx.core.numerics import EPS_DEPTH_M, divide
 from arfx.core.rect import Rect
 from arfx.core.scene_mesh import SceneMesh
 from arfx.core.vectors import dot, shifted, vector
-from arfx.stages.raster.record import View
+from arfx.stages.raster.record import View, bounds_of
 
 _POINTS_PER_PX = 1.5
 # Along all edges of a frame: bounds time and memory where the camera is inside the model.
@@ -69,10 +69,7 @@ def _points_along(
     """Places (n, 2) px, counted from the corner of pixel 0, along edges (e, 2) and their depths."""
     z = view.points[ends, 2]
     xy = divide(view.points[ends, :2], z[..., None])
-    low = np.array([np.nanmin(view.x, initial=np.inf), np.nanmin(view.y, initial=np.inf)])
-    high = np.array(
-        [np.nanmax(view.x, initial=-np.inf), np.nanmax(view.y, initial=-np.inf)]
-    )
+    low, high = bounds_of(view)
     near = (
         (xy.max(1) >= low).all(1) & (xy.min(1) <= high).all(1) & (z > EPS_DEPTH_M).all(1)
     )

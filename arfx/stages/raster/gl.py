@@ -21,7 +21,7 @@ from arfx.core.scene_mesh import SceneMesh
 from arfx.errors import RenderError
 from arfx.stages.raster.gl_context import discard, on_gl_thread, open_context
 from arfx.stages.raster.gl_draw import Drawing
-from arfx.stages.raster.record import NearestFaces, View
+from arfx.stages.raster.record import NearestFaces, View, bounds_of
 from arfx.stages.raster.visible import depths_along
 
 NEAR_M = 1e-3
@@ -110,10 +110,9 @@ class GlFaces:
     def _picture(self, view: View) -> Picture:
         """The ideal camera's; empty where no direction is known."""
         c = self._camera
-        if np.isnan(view.x).all():
+        low, high = bounds_of(view)
+        if not np.isfinite(low).all():
             return NOTHING
-        low = np.array([np.nanmin(view.x), np.nanmin(view.y)])
-        high = np.array([np.nanmax(view.x), np.nanmax(view.y)])
         scale = np.array([c.fx, c.fy]) * self._side
         size = (high - low) * scale + 2
         # A wide lens would need an endless ideal picture: it is made coarser instead.

@@ -28,10 +28,8 @@ class Drawing:
         self.order = np.argsort(~mesh.hidden_behind, kind="stable")
         one_sided = int(mesh.hidden_behind.sum())
         self.primitives = []
-        for first, faces in (
-            (0, self.order[:one_sided]),
-            (one_sided, self.order[one_sided:]),
-        ):
+        parts = np.split(self.order, [one_sided])
+        for first, faces in zip((0, one_sided), parts, strict=True):
             if len(faces):
                 primitive = context.pyrender.Primitive(
                     positions=mesh.vertices.astype(np.float32),

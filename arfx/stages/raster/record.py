@@ -63,6 +63,15 @@ class View(NamedTuple):
 MARGIN = 2
 
 
+def bounds_of(view: View) -> tuple[np.ndarray, np.ndarray]:
+    """The least and the greatest x and y (2,) of the directions; inf, -inf without any."""
+    low, high = (
+        np.array([bound(a, initial=start) for a in (view.x, view.y)])
+        for bound, start in ((np.nanmin, np.inf), (np.nanmax, -np.inf))
+    )
+    return low, high
+
+
 class Rays(NamedTuple):
     """Rays through pixels, those of one pixel one after the other.
 

@@ -89,10 +89,6 @@ class Renderer:
         self.pixel = float(1.0 / np.sqrt(camera.fx * camera.fy))
         self.triangles = Triangles(mesh.corners_m, robust=True) if self.layered else None
 
-    @property
-    def any_rectangle(self) -> bool:
-        return self.faces.any_rectangle
-
     def nothing(self, rect: Rect) -> dict[Layer, np.ndarray]:
         """All layers that this model has, as if it were not seen."""
         names = (*OUTPUTS, *EXTRA_OUTPUTS) if self.extras else OUTPUTS

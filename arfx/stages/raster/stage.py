@@ -81,7 +81,7 @@ class Raster(Stage):
         shown = box.clip(rect)
         if shown.empty:
             return prepared.nothing(rect)
-        area = shown if prepared.any_rectangle else box
+        area = shown if prepared.faces.any_rectangle else box
         layers: dict[Layer, np.ndarray] = prepared.render(area, view.pose)
         if area == rect:
             return layers

@@ -54,11 +54,8 @@ def texture_stack(uses: Sequence[tuple[Texture, bool]]) -> TextureStack:
 def level_sizes(picture: np.ndarray) -> list[tuple[int, int]]:
     """(width, height) of its pyramid's levels, down to one texel."""
     height, width = picture.shape[:2]
-    sizes = [(width, height)]
-    while max(sizes[-1]) > 1 and len(sizes) < MAX_LEVELS:
-        width, height = max(width // 2, 1), max(height // 2, 1)
-        sizes.append((width, height))
-    return sizes
+    count = min(max(width, height).bit_length(), MAX_LEVELS)
+    return [(max(width >> k, 1), max(height >> k, 1)) for k in range(count)]
 
 
 def write_pyramid(

@@ -525,7 +525,7 @@ def test_the_penumbra_is_as_wide_as_the_light_and_the_height_make_it(level: str)
     s = on_plane(box_model(), lamp(0, 90, 10.0), height_m=0.5)
     caster = make_caster(s)
     texture = beam_texture(
-        caster, quantised(np.array([0, 0, 1.0]), 10.0), PLANE_LEVELS[level], False
+        caster, quantised(np.array([0, 0, 1.0]), 10.0), PLANE_LEVELS[level]
     )
     x = np.linspace(-0.12, 0.0, 61)
     places = np.column_stack([x, np.zeros(61), np.ones(61)]) @ texture.texel_from_m.T
