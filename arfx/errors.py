@@ -82,7 +82,9 @@ def explained(e: BaseException) -> tuple[int, str]:
         )
     if isinstance(e, MemoryError):
         what = (
-            f"there is not enough memory: {e}" if str(e) else "there is not enough memory"
+            f"there is not enough memory: {e}"
+            if str(e)
+            else "there is not enough memory"
         )
         return (
             5,

@@ -39,7 +39,9 @@ def write_camera(path: Path, camera: Camera | None = None) -> Path:
     f.write("image_width", c.width)
     f.write("image_height", c.height)
     f.write("camera_matrix", c.matrix)
-    f.write("distortion_coefficients", c.distortion if c.distortion.size else np.zeros(5))
+    f.write(
+        "distortion_coefficients", c.distortion if c.distortion.size else np.zeros(5)
+    )
     f.release()
     return path
 
@@ -68,7 +70,9 @@ def ground_of(w: int, h: int, seed: int) -> np.ndarray:
 @cache
 def print_of(side: int, border: int) -> np.ndarray:
     image = cv2.aruco.generateImageMarker(
-        cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11), MARKER.id, side
+        cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11),
+        MARKER.id,
+        side,
     )
     return np.clip(
         cv2.copyMakeBorder(
@@ -91,7 +95,12 @@ def picture(pose: Pose | None, camera: Camera, seed: int = 0) -> np.ndarray:
     corners = camera.project(
         pose.apply(
             np.array(
-                [[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]]
+                [
+                    [-half, half, 0],
+                    [half, half, 0],
+                    [half, -half, 0],
+                    [-half, -half, 0],
+                ]
             )
         )
     )

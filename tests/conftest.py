@@ -36,7 +36,9 @@ sys.dont_write_bytecode = False
 # quarter of that time
 gc.disable()
 
-COMPILED = pytest.StashKey[tuple[int, float]]()  # how many kernels, in how many seconds
+COMPILED = pytest.StashKey[
+    tuple[int, float]
+]()  # how many kernels, in how many seconds
 
 STARTS = r"""apart=True|\benv=|subprocess|Popen|at_a_moment|Thread|run_(threads|processes)|(ahead|behind)\(
     |raise_signal|os\.kill"""
@@ -133,7 +135,9 @@ def ctrl_c() -> Iterator[None]:
     ignored, for children too.
     """
     names = [
-        getattr(signal, name) for name in ("SIGINT", "SIGHUP") if hasattr(signal, name)
+        getattr(signal, name)
+        for name in ("SIGINT", "SIGHUP")
+        if hasattr(signal, name)
     ]
     before = [signal.signal(name, signal.default_int_handler) for name in names]
     yield
@@ -177,6 +181,8 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
         for r in stats.get("skipped", ())
         if isinstance(r.longrepr, tuple)
     }
-    told |= {f"not tested, because {reason}" for reason in reasons if "OpenGL" in reason}
+    told |= {
+        f"not tested, because {reason}" for reason in reasons if "OpenGL" in reason
+    }
     for line in sorted(told):
         terminalreporter.write_line(f"OpenGL: {line}")

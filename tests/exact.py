@@ -16,7 +16,10 @@ def identical(a: Any, b: Any) -> bool:
     if isinstance(a, float) and not isinstance(a, np.generic):
         return struct.pack("<d", a) == struct.pack("<d", b)
     if isinstance(a, np.ndarray | np.generic):
-        alike = (a.dtype, a.shape) == (b.dtype, b.shape) and a.tobytes() == b.tobytes()
+        alike = (a.dtype, a.shape) == (
+            b.dtype,
+            b.shape,
+        ) and a.tobytes() == b.tobytes()
         return alike and (not a.size or a.strides == b.strides)
     if isinstance(a, dict):
         return len(a) == len(b) and all(
@@ -27,5 +30,7 @@ def identical(a: Any, b: Any) -> bool:
             identical(x, y) for x, y in zip(a, b, strict=True)
         )
     if is_dataclass(a):
-        return all(identical(getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
+        return all(
+            identical(getattr(a, f.name), getattr(b, f.name)) for f in fields(a)
+        )
     return bool(a == b)

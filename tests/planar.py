@@ -9,7 +9,10 @@ from arfx.core.pose import Pose
 
 
 def planar(
-    corners_m: np.ndarray, ideal: np.ndarray, px_per_ideal: np.ndarray, sigma_px: float
+    corners_m: np.ndarray,
+    ideal: np.ndarray,
+    px_per_ideal: np.ndarray,
+    sigma_px: float,
 ) -> list[tuple[Pose, float]]:
     """(camera_from_marker, rms over the corners in px), best first; none, one or two.
 

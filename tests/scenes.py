@@ -30,8 +30,13 @@ def box_model(size: float = 1.0, material: Material | None = None) -> Model:
             n = np.zeros(3)
             n[axis] = sign
             u, v = np.roll(np.eye(3)[axis], 1), np.roll(np.eye(3)[axis], 2)
-            corners = [n + a * u + b * v for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-            if np.dot(np.cross(corners[1] - corners[0], corners[2] - corners[0]), n) < 0:
+            corners = [
+                n + a * u + b * v for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+            ]
+            if (
+                np.dot(np.cross(corners[1] - corners[0], corners[2] - corners[0]), n)
+                < 0
+            ):
                 corners = corners[::-1]
             start = len(vertices)
             vertices += corners
@@ -51,7 +56,11 @@ def camera(
     width: int = 160, height: int = 120, distortion: tuple[float, ...] = ()
 ) -> Camera:
     k = np.array(
-        [[0.9 * width, 0, width / 2 + 7.3], [0, 0.9 * width, height / 2 - 4.1], [0, 0, 1]]
+        [
+            [0.9 * width, 0, width / 2 + 7.3],
+            [0, 0.9 * width, height / 2 - 4.1],
+            [0, 0, 1],
+        ]
     )
     return Camera(width, height, k, np.array(distortion))
 

@@ -89,7 +89,8 @@ def once(at: BenchScene, level: str) -> tuple[Any, Any]:
         count[0] += 1
         return go(
             replace(
-                at.facts, light=at.scene.light.scaled(np.full(3, 1.1 ** (count[0] % 40)))
+                at.facts,
+                light=at.scene.light.scaled(np.full(3, 1.1 ** (count[0] % 40))),
             )
         )
 
@@ -130,7 +131,10 @@ def main() -> None:
     for size in given.size or ["640x480", "1280x720"]:
         width, height = (int(v) for v in size.split("x"))
         timed(
-            given.share, (width, height), given.level or ["draft", "standard"], given.runs
+            given.share,
+            (width, height),
+            given.level or ["draft", "standard"],
+            given.runs,
         )
 
 

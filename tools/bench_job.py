@@ -48,7 +48,11 @@ def camera() -> Camera:
         WIDTH,
         HEIGHT,
         np.array(
-            [[FOCAL_PX, 0, (WIDTH - 1) / 2], [0, FOCAL_PX, (HEIGHT - 1) / 2], [0, 0, 1]]
+            [
+                [FOCAL_PX, 0, (WIDTH - 1) / 2],
+                [0, FOCAL_PX, (HEIGHT - 1) / 2],
+                [0, 0, 1],
+            ]
         ),
     )
 
@@ -76,7 +80,9 @@ def make_clip(path: Path, frames: int, visible: int) -> Path:
     )
     with_marker = table.copy()
     code = cv2.aruco.generateImageMarker(
-        cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11), MARKER.id, side
+        cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11),
+        MARKER.id,
+        side,
     )
     code = np.clip(
         cv2.copyMakeBorder(
@@ -90,7 +96,9 @@ def make_clip(path: Path, frames: int, visible: int) -> Path:
     plane = np.array(
         [[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]]
     )
-    source = np.array([[0, 0], [board, 0], [board, board], [0, board]], np.float32) - 0.5
+    source = (
+        np.array([[0, 0], [board, 0], [board, board], [0, board]], np.float32) - 0.5
+    )
     noise = g.normal(0, 2, (4, HEIGHT, WIDTH, 3)).astype(np.float32)
     cam = camera()
     with av.open(str(path), "w") as out:
@@ -109,7 +117,9 @@ def make_clip(path: Path, frames: int, visible: int) -> Path:
                 borderValue=(96, 100, 104),
             )
             picture = np.clip(picture + noise[i % 4], 0, 255).astype(np.uint8)
-            out.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+            out.mux(
+                stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24"))
+            )
         out.mux(stream.encode(None))
     return path
 
@@ -125,7 +135,11 @@ def write_model(path: Path) -> Path:
         image=Image.fromarray(part.material.base_texture.picture),
     )
     mesh = trimesh.Trimesh(
-        part.vertices, part.faces, vertex_normals=part.normals, visual=skin, process=False
+        part.vertices,
+        part.faces,
+        vertex_normals=part.normals,
+        visual=skin,
+        process=False,
     )
     mesh.export(path)
     return path
@@ -230,10 +244,14 @@ def main() -> None:
     )
     p.add_argument("--runs", type=int, default=3)
     p.add_argument(
-        "--workers", type=int, help="worker processes of arfx; default: its own choice"
+        "--workers",
+        type=int,
+        help="worker processes of arfx; default: its own choice",
     )
     p.add_argument(
-        "--no-memory", action="store_true", help="leave out the 100 and 1,000 frame jobs"
+        "--no-memory",
+        action="store_true",
+        help="leave out the 100 and 1,000 frame jobs",
     )
     p.add_argument("--json", metavar="FILE", help="write all figures here")
     given = p.parse_args()
@@ -275,9 +293,9 @@ def main() -> None:
             peaks = {}
             for frames in (100, 1000):
                 clip = make_clip(folder / f"{frames}.mp4", frames, frames)
-                peaks[frames] = timed(arfx_command(clip, *parts, folder / "out.mp4", 1))[
-                    1
-                ]
+                peaks[frames] = timed(
+                    arfx_command(clip, *parts, folder / "out.mp4", 1)
+                )[1]
             growth = peaks[1000] / peaks[100]
             print(
                 f"peak memory: {peaks[100]:.0f} MB for 100 frames, {peaks[1000]:.0f} MB for"

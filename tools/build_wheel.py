@@ -58,7 +58,9 @@ def with_compiled_code(plain: Path, out: Path, modules: str = "arfx.") -> Path:
             f"cp{sys.version_info[0]}{sys.version_info[1]}-none-manylinux_2_17_x86_64"
         )
         wheel = re.sub(
-            r"(?m)^Tag: .*$", f"Tag: {tag}", (about / "WHEEL").read_text(encoding="utf-8")
+            r"(?m)^Tag: .*$",
+            f"Tag: {tag}",
+            (about / "WHEEL").read_text(encoding="utf-8"),
         )
         (about / "WHEEL").write_text(wheel, encoding="utf-8")
         out.mkdir(parents=True, exist_ok=True)
@@ -80,7 +82,13 @@ def main() -> None:
                 source / name,
                 ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"),
             )
-        for name in ("pyproject.toml", "setup.py", "MANIFEST.in", "README.md", "LICENSE"):
+        for name in (
+            "pyproject.toml",
+            "setup.py",
+            "MANIFEST.in",
+            "README.md",
+            "LICENSE",
+        ):
             shutil.copy2(ROOT / name, source / name)
         built = [
             sys.executable,

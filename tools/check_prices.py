@@ -176,7 +176,9 @@ def mean_error(
     return total / max(count, 1.0)
 
 
-def budgets(folder: Path, job: Path, pipeline: str, clock: str, count: int = 10) -> int:
+def budgets(
+    folder: Path, job: Path, pipeline: str, clock: str, count: int = 10
+) -> int:
     """Print and plot. Returns how many budgets were not kept."""
     base = {"stages": pipeline.split(",")}
     for name in ("first", "reference"):  # the first may have code to compile
@@ -198,7 +200,9 @@ def budgets(folder: Path, job: Path, pipeline: str, clock: str, count: int = 10)
     for k, budget in enumerate(
         before + np.geomspace(1.02 * ends[0], 1.1 * ends[1], count)
     ):
-        ran = run(folder, f"budget-{k}", job, {**base, "budget": f"{budget:.3f}s"}, clock)
+        ran = run(
+            folder, f"budget-{k}", job, {**base, "budget": f"{budget:.3f}s"}, clock
+        )
         error = mean_error(wanted, pictures(ran.output), plain)
         late = ran.seconds > 1.1 * budget
         bad += late
@@ -228,7 +232,9 @@ def errors(
     wanted, plain = pictures(best.output), pictures(job.with_name("clip.mp4"))
     bad = 0
     for k, limit in enumerate(np.geomspace(0.2, 8.0, count)):
-        ran = run(folder, f"error-{k}", job, {**base, "max_error": float(limit)}, clock)
+        ran = run(
+            folder, f"error-{k}", job, {**base, "max_error": float(limit)}, clock
+        )
         error = mean_error(wanted, pictures(ran.output), plain)
         bad += error > limit
         verdict = "holds" if error <= limit else "BROKEN"
@@ -240,7 +246,9 @@ def errors(
 
 
 def predictions(
-    folder: Path, clock: str, jobs: Sequence[tuple[str, int, int, str, str, str]] = JOBS
+    folder: Path,
+    clock: str,
+    jobs: Sequence[tuple[str, int, int, str, str, str]] = JOBS,
 ) -> int:
     """Print. Returns 0 where the median relative error is at most 15 % and eight in ten lie
     in their interval.
@@ -257,14 +265,18 @@ def predictions(
             codec,
         )
         told, measured = ran.predicted, ran.seconds
-        name = f"{scene[:4]}, {width} px, {frames} frames, {pipeline} {quality}, {codec}"
+        name = (
+            f"{scene[:4]}, {width} px, {frames} frames, {pipeline} {quality}, {codec}"
+        )
         if told is None:
             print(f"| {name} | {_told(ran)} | unknown |", flush=True)
             continue
         known += 1
         held += told["low_s"] <= measured <= told["high_s"]
         off.append(abs(measured / told["s"] - 1))
-        print(f"| {name} | {_told(ran)} | {measured / told['s'] - 1:+.0%} |", flush=True)
+        print(
+            f"| {name} | {_told(ran)} | {measured / told['s'] - 1:+.0%} |", flush=True
+        )
     median = float(np.median(off)) if off else np.inf
     print(f"median relative error {median:.0%}; {held} of {known} in their interval")
     return 0 if median <= 0.15 and held >= 0.8 * len(jobs) else 1
@@ -355,7 +367,9 @@ def main() -> int:
         processor = given.clock == "processor"
         print(
             save_prices(
-                calibrate(processor=processor, limit_s=300.0 if processor else LIMIT_S)
+                calibrate(
+                    processor=processor, limit_s=300.0 if processor else LIMIT_S
+                )
             ),
             flush=True,
         )

@@ -77,15 +77,21 @@ def scene_job(name: str, scene: str, *more: str) -> Job:
 def real_job(name: str, clip: Path, end_s: float, *more: str) -> Job:
     model = str(REAL.parent / "models" / "mikedh-trimesh" / "Duck.glb")
     ends = ("--end", str(end_s)) if end_s else ()
-    return Job(name, ("process", str(clip), "--model", model, *ends, *more), needs=clip)
+    return Job(
+        name, ("process", str(clip), "--model", model, *ends, *more), needs=clip
+    )
 
 
 def jobs() -> Iterator[Job]:
-    scenes = sorted(p.parent.name for p in (ROOT / "sample_scenes").glob("*/scene.toml"))
+    scenes = sorted(
+        p.parent.name for p in (ROOT / "sample_scenes").glob("*/scene.toml")
+    )
     for scene in scenes:
         yield scene_job(f"scene-{scene}", scene)
     for preset in sorted((ROOT / "configs").glob("*.toml")):
-        yield scene_job(f"preset-{preset.stem}", PRESET_SCENE, "--config", preset.stem)
+        yield scene_job(
+            f"preset-{preset.stem}", PRESET_SCENE, "--config", preset.stem
+        )
     yield scene_job("formula-paper", PRESET_SCENE, "--formula", "paper")
     yield scene_job("pyrender", PLAIN_SCENE, "--set", "raster.backend=pyrender")
     yield scene_job(
@@ -107,13 +113,19 @@ def jobs() -> Iterator[Job]:
         "{scene}/camera.yaml",
     )
     model = ("--model", "{scene}/model.glb", "--fit", "13cm")
-    yield Job("pattern", ("process", "{scene}/clip.mp4", *picture, *model), PLAIN_SCENE)
+    yield Job(
+        "pattern", ("process", "{scene}/clip.mp4", *picture, *model), PLAIN_SCENE
+    )
     wpi = REAL / "wpilibsuite-allwpilib"
     camera = ("--camera", str(wpi / "camera.json"))
     marker = ("--marker", "36h11:3:165.1mm", "--fit", "15cm")
-    yield real_job("real-fieldvideo", wpi / "fieldvideo_long.mp4", 2.0, *camera, *marker)
+    yield real_job(
+        "real-fieldvideo", wpi / "fieldvideo_long.mp4", 2.0, *camera, *marker
+    )
     tag = REAL / "SciKit-Surgery-snappysonic" / "aruco_tag.avi"
-    yield real_job("real-aruco-tag", tag, 0, "--marker", "4X4_50:0:50mm", "--fit", "5cm")
+    yield real_job(
+        "real-aruco-tag", tag, 0, "--marker", "4X4_50:0:50mm", "--fit", "5cm"
+    )
     dark = REAL / "JunkyByte-deepcharuco" / "video_test.mp4"
     yield real_job(
         "real-deepcharuco", dark, 1.0, "--marker", "4X4_50:0:10mm", "--fit", "2cm"
@@ -141,7 +153,9 @@ def jobs() -> Iterator[Job]:
     yield Job("stages", ("stages", "all"), whole=False)
     yield Job("stages-json", ("stages", "--json"), whole=False)
     yield Job(
-        "reproduce", ("reproduce", "all", "-o", "pages", "--short", "--json"), whole=False
+        "reproduce",
+        ("reproduce", "all", "-o", "pages", "--short", "--json"),
+        whole=False,
     )
     yield Job("help", ("--help",), whole=False)
     for command in COMMANDS:
@@ -180,7 +194,12 @@ def run(
     }
     command = [sys.executable, "-m", "arfx_cli", *arguments]
     return subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, check=False
+        command,
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
 
 
@@ -195,7 +214,9 @@ def scene_folder(tree: Path, scene: str, clips: Path) -> Path:
                 tree, ["synth", str(description), "-o", f"{work}/made", "-q"], clips
             )
             if done.returncode:
-                raise SystemExit(f"{scene}: its clip could not be made: {done.stderr}")
+                raise SystemExit(
+                    f"{scene}: its clip could not be made: {done.stderr}"
+                )
             add_inputs(Path(work, "made"))
             Path(work, "made").rename(folder)
     return folder
@@ -213,7 +234,9 @@ def add_inputs(folder: Path) -> None:
         lines.append(" ".join(f"{v:.9f}" for v in numbers))
     (folder / "poses.txt").write_text("\n".join(lines) + "\n")
     codes = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    cv2.imwrite(str(folder / "pattern.png"), cv2.aruco.generateImageMarker(codes, 3, 400))
+    cv2.imwrite(
+        str(folder / "pattern.png"), cv2.aruco.generateImageMarker(codes, 3, 400)
+    )
 
 
 def make(folder: Path, tree: Path, clips: Path, names: list[str]) -> None:
@@ -273,7 +296,9 @@ def read_expected(path: Path | None) -> list[tuple[str, str]]:
 def compare(old: Path, new: Path, expected: Path | None) -> int:
     """How many differences nothing explains; all are printed."""
     rules = read_expected(expected)
-    names = sorted({p.name for tree in (old, new) for p in tree.iterdir() if p.is_dir()})
+    names = sorted(
+        {p.name for tree in (old, new) for p in tree.iterdir() if p.is_dir()}
+    )
     unexplained = 0
     for name in names:
         found: list[Difference] = []
@@ -283,7 +308,8 @@ def compare(old: Path, new: Path, expected: Path | None) -> int:
             found = compare_jobs(old / name, new / name)
         for difference in found:
             fits = [
-                fnmatch.fnmatchcase(name, a) and fnmatch.fnmatchcase(difference.where, b)
+                fnmatch.fnmatchcase(name, a)
+                and fnmatch.fnmatchcase(difference.where, b)
                 for a, b in rules
             ]
             unexplained += not any(fits)
@@ -310,7 +336,9 @@ def main() -> int:
         "--tree", type=Path, default=ROOT, help="checkout whose code runs"
     )
     parser.add_argument(
-        "--clips", type=Path, default=Path(tempfile.gettempdir()) / "arfx-freeze-clips"
+        "--clips",
+        type=Path,
+        default=Path(tempfile.gettempdir()) / "arfx-freeze-clips",
     )
     parser.add_argument("--expected", type=Path)
     given = parser.parse_intermixed_args()

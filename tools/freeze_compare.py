@@ -83,7 +83,9 @@ def _apart(where: str, a: Any, b: Any) -> float | None:
         if isinstance(a, int) and isinstance(b, int) and not _PREDICTED.search(where):
             return float(apart)
         return (
-            None if apart <= absolute + relative * max(abs(a), abs(b)) else float(apart)
+            None
+            if apart <= absolute + relative * max(abs(a), abs(b))
+            else float(apart)
         )
     return None if a == b else float("inf")
 
@@ -116,7 +118,9 @@ def compare_documents(a: Any, b: Any, name: str) -> list[Difference]:
 
 def _samples(frame: av.VideoFrame) -> list[np.ndarray]:
     """The planes of a frame as stored, without padding."""
-    kind = np.uint8 if max(c.bits for c in frame.format.components) <= 8 else np.uint16
+    kind = (
+        np.uint8 if max(c.bits for c in frame.format.components) <= 8 else np.uint16
+    )
     out = []
     for plane in frame.planes:
         rows = np.frombuffer(plane, np.uint8).reshape(plane.height, plane.line_size)
@@ -178,10 +182,15 @@ def compare_pictures(
         if a is None or b is None:
             return [Difference("frames", f"one ends after {number}")]
         frames += 1
-        if a.format.name != b.format.name or (a.width, a.height) != (b.width, b.height):
+        if a.format.name != b.format.name or (a.width, a.height) != (
+            b.width,
+            b.height,
+        ):
             return [Difference("format", f"{a} and {b}")]
         apart_s += [abs(a.time - b.time)] if a.time != b.time else []
-        given = _samples(s) if s is not None and s.format.name == a.format.name else None
+        given = (
+            _samples(s) if s is not None and s.format.name == a.format.name else None
+        )
         for k, (p, q) in enumerate(zip(_samples(a), _samples(b), strict=True)):
             d = np.abs(p.astype(np.int32) - q)
             where = (
@@ -206,12 +215,15 @@ def compare_pictures(
     if apart_s:
         out.append(
             Difference(
-                "times", f"{len(apart_s)} of {frames} frames, up to {max(apart_s):.6f} s"
+                "times",
+                f"{len(apart_s)} of {frames} frames, up to {max(apart_s):.6f} s",
             )
         )
     if outside:
         out.append(
-            Difference("pixels.untouched", f"{outside} differ where nothing is changed")
+            Difference(
+                "pixels.untouched", f"{outside} differ where nothing is changed"
+            )
         )
     mean = total / max(touched, 1)
     if mean > MEAN_LEVELS or large > LARGE_FRACTION * touched:
@@ -219,7 +231,9 @@ def compare_pictures(
             f"mean {mean:.3f} of {touched} touched, {count} differ, {large} by more than"
             f" {LARGE_LEVELS}"
         )
-        out.append(Difference("pixels.touched", f"{what}, up to {most} in frame {worst}"))
+        out.append(
+            Difference("pixels.touched", f"{what}, up to {most} in frame {worst}")
+        )
     return out
 
 
@@ -233,7 +247,9 @@ def _until(
 
 
 def _lines(path: Path) -> list[Any]:
-    return [json.loads(line) for line in path.read_text().splitlines() if line.strip()]
+    return [
+        json.loads(line) for line in path.read_text().splitlines() if line.strip()
+    ]
 
 
 def _document(path: Path) -> Any:
@@ -273,7 +289,9 @@ def _rectangles(job: Path) -> list[list[int]] | None:
 
 def compare_jobs(old: Path, new: Path) -> list[Difference]:
     """All differences of two folders of one job."""
-    out = compare_documents(_call(old / "call.json"), _call(new / "call.json"), "call")
+    out = compare_documents(
+        _call(old / "call.json"), _call(new / "call.json"), "call"
+    )
     names = {p.name for folder in (old, new) for p in folder.glob("[!.]*.json*")} - {
         "call.json"
     }

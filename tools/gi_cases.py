@@ -169,8 +169,12 @@ def measure(name: str, case: Case, folder: Path) -> dict[str, dict[str, float]]:
     from arfx.run.parameters import parameters
 
     shape = case.shape()
-    shape.visual = trimesh.visual.TextureVisuals(material=PBRMaterial(**case.material))
-    shape.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, (1, 0, 0)))
+    shape.visual = trimesh.visual.TextureVisuals(
+        material=PBRMaterial(**case.material)
+    )
+    shape.apply_transform(
+        trimesh.transformations.rotation_matrix(-np.pi / 2, (1, 0, 0))
+    )
     model = folder / f"{name}.glb"
     shape.export(model)
     more: dict[str, Any] = {
@@ -196,7 +200,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("-o", "--output", type=Path, default=ROOT / "out" / "gi_cases")
+    parser.add_argument(
+        "-o", "--output", type=Path, default=ROOT / "out" / "gi_cases"
+    )
     parser.add_argument("--case", default="", help="only cases whose name begins so")
     given = parser.parse_args()
     given.output.mkdir(parents=True, exist_ok=True)

@@ -17,7 +17,9 @@ if sys.version_info < OLDEST:
     import shutil
 
     found = [
-        name for name in ("python3.13", "python3.12", "python3.11") if shutil.which(name)
+        name
+        for name in ("python3.13", "python3.12", "python3.11")
+        if shutil.which(name)
     ]
     sys.stderr.write(
         "arfx needs Python 3.11 or newer; %s is %s\n"  # noqa: UP031
@@ -69,7 +71,10 @@ def wanted_stamp() -> dict[str, str]:
     for name in DECIDING:
         path = ROOT / name
         digest.update(
-            name.encode() + b"\0" + (path.read_bytes() if path.exists() else b"") + b"\0"
+            name.encode()
+            + b"\0"
+            + (path.read_bytes() if path.exists() else b"")
+            + b"\0"
         )
     return {
         "inputs": digest.hexdigest(),
@@ -245,12 +250,18 @@ def create() -> None:
     """An empty .venv with pip in it: by ensurepip, by the host's pip, or from the index."""
     if VENV.exists() and any(VENV.iterdir()) and not (VENV / "pyvenv.cfg").exists():
         raise fail(f"{VENV} exists and is no virtual environment", "move it away")
-    print(f"make_venv: making {VENV} with Python {platform.python_version()}", flush=True)
+    print(
+        f"make_venv: making {VENV} with Python {platform.python_version()}",
+        flush=True,
+    )
     shutil.rmtree(VENV, ignore_errors=True)
     venv.EnvBuilder(symlinks=os.name != "nt", with_pip=False).create(VENV)
     if runs(venv_python(), "-m", "ensurepip", "--upgrade", "--default-pip"):
         return
-    print("make_venv: this Python has no ensurepip; fetching pip another way", flush=True)
+    print(
+        "make_venv: this Python has no ensurepip; fetching pip another way",
+        flush=True,
+    )
     if runs(
         sys.executable, "-m", "pip", "--python", venv_python(), "install", "-q", "pip"
     ):
@@ -337,7 +348,8 @@ if __name__ == "__main__":
     except PermissionError as e:
         sys.exit(
             fail(
-                f"may not write {e.filename}", "run it as the user who owns the folder"
+                f"may not write {e.filename}",
+                "run it as the user who owns the folder",
             ).code
         )
     except KeyboardInterrupt:

@@ -72,7 +72,9 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "out" / "errors")
-    parser.add_argument("--frames", type=int, default=2, help="how many stand for a clip")
+    parser.add_argument(
+        "--frames", type=int, default=2, help="how many stand for a clip"
+    )
     parser.add_argument(
         "--window-px",
         type=int,
@@ -87,7 +89,10 @@ def main() -> int:
         help="measure this stage alone; others stay as they were",
     )
     parser.add_argument(
-        "--clip", action="append", metavar="NAME", help="only clips whose name begins so"
+        "--clip",
+        action="append",
+        metavar="NAME",
+        help="only clips whose name begins so",
     )
     parser.add_argument(
         "--write", action="store_true", help="write arfx/plan/default_errors.json"
@@ -97,18 +102,28 @@ def main() -> int:
     scenes = [
         p.parent.name for p in sorted((ROOT / "sample_scenes").glob("*/scene.toml"))
     ]
-    names = [*scenes, *(n for n, job in REAL.items() if job["input"]["clip"].is_file())]
+    names = [
+        *scenes,
+        *(n for n, job in REAL.items() if job["input"]["clip"].is_file()),
+    ]
     began = time.perf_counter()
     with ProcessPoolExecutor(
         given.workers, get_context("spawn"), max_tasks_per_child=1
     ) as pool:
         asked = [n for n in names if n.startswith(tuple(given.clip or [""]))]
         waiting = [
-            n for n in asked if given.stage or not (given.output / f"{n}.json").is_file()
+            n
+            for n in asked
+            if given.stage or not (given.output / f"{n}.json").is_file()
         ]
         futures = {
             pool.submit(
-                measure_clip, n, given.output, given.frames, given.window_px, given.stage
+                measure_clip,
+                n,
+                given.output,
+                given.frames,
+                given.window_px,
+                given.stage,
             ): n
             for n in waiting
         }
@@ -194,7 +209,8 @@ def measured(
     levels = {n: level_named(s.levels, "standard") for n, s in stages.items()}
     rect = job.inputs.camera.rect
     plans = [
-        plan_frame(list(stages.values()), levels, f, job.scene, rect) for f in job.facts
+        plan_frame(list(stages.values()), levels, f, job.scene, rect)
+        for f in job.facts
     ]
     part = replace(job, stages=stages, plan=replace(job.plan, frames=plans))
     found = measure(part, frames, lambda *_: None, wanted, window_px)
@@ -242,7 +258,9 @@ def planned(name: str, folder: Path) -> Job:
                     file="depth.mkv", noise=NOISE, holes=HOLES, edge_px=EDGE_PX
                 )
                 scene = scene.model_copy(update={"depth": depth})
-            make_clip(scene, made, folder_of_scene, overwrite=True, truth_pictures=False)
+            make_clip(
+                scene, made, folder_of_scene, overwrite=True, truth_pictures=False
+            )
     own = {} if files is None else tomllib.loads(files.read_text(encoding="utf-8"))
     more["pipeline"] = {
         "stages": [n for n in STAGES if n not in ALWAYS],
@@ -339,7 +357,9 @@ def table(found: Found, stages: Mapping[str, Sequence[str]]) -> str:
         shown = {n: of[stage] for n, of in found.items() if stage in of}
         for level in levels:
             e = spread([of[level]["error"] for of in shown.values()])
-            ms = 1e3 * float(np.median([of[level]["seconds"] for of in shown.values()]))
+            ms = 1e3 * float(
+                np.median([of[level]["seconds"] for of in shown.values()])
+            )
             count = sum(level in bad[n, stage] for n in shown)
             error = f"{e['mean']:.2f} ({e['low']:.2f} to {e['high']:.2f})"
             lines.append(
@@ -378,7 +398,9 @@ def plot(found: Found, stages: Mapping[str, Sequence[str]], file: Path) -> None:
     from arfx.plan.levels import Option, convex_hull
 
     across = 2
-    figure = Figure(figsize=(11, 3.4 * -(-len(stages) // across)), layout="constrained")
+    figure = Figure(
+        figsize=(11, 3.4 * -(-len(stages) // across)), layout="constrained"
+    )
     axes = figure.subplots(-(-len(stages) // across), across, squeeze=False).ravel()
     for axis, (stage, levels) in zip(axes, stages.items(), strict=False):
         shown = [of[stage] for of in found.values() if stage in of]
@@ -424,13 +446,17 @@ def plot(found: Found, stages: Mapping[str, Sequence[str]], file: Path) -> None:
                     textcoords="offset points",
                     fontsize=8,
                 )
-        axis.set(xscale="log", yscale="log", xlabel="ms a frame", ylabel="grey levels")
+        axis.set(
+            xscale="log", yscale="log", xlabel="ms a frame", ylabel="grey levels"
+        )
         for along in (axis.xaxis, axis.yaxis):
             along.set_major_formatter("{x:g}")
             along.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))
         axis.tick_params(which="both", labelsize=7)
         axis.set_title(
-            f"{stage}: clips (grey), medians and means (points)", fontsize=9, loc="left"
+            f"{stage}: clips (grey), medians and means (points)",
+            fontsize=9,
+            loc="left",
         )
         axis.legend(fontsize=7, frameon=False)
     for axis in axes[len(stages) :]:

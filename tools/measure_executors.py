@@ -97,7 +97,9 @@ def compare_analyses(command: list[str], folder: Path) -> None:
         wall_s, facts = json.loads(out.read_text())
         base = base or wall_s
         found.add(facts)
-        print(f"{name:36}{wall_s:8.2f}{base / wall_s:10.2f}  {facts[:16]}", flush=True)
+        print(
+            f"{name:36}{wall_s:8.2f}{base / wall_s:10.2f}  {facts[:16]}", flush=True
+        )
     print("the same facts" if len(found) == 1 else "OTHER FACTS")
 
 
@@ -136,7 +138,9 @@ def one_analysis(
         folder.stretches.mkdir()
         start = time.perf_counter()
         analyse(inputs, folder, *rest)
-        told.write_text(json.dumps([time.perf_counter() - start, sha256(folder.facts)]))
+        told.write_text(
+            json.dumps([time.perf_counter() - start, sha256(folder.facts)])
+        )
         raise SystemExit(0)
 
     job._analyse = measured

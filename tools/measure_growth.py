@@ -58,13 +58,17 @@ def make_loop(path: Path, turned: bool) -> None:
     g = np.random.default_rng(5)
     size, side = 1200, 220  # pixels of the table, and of the print with its margin
     table = cv2.resize(
-        g.integers(70, 180, (size // 15, size // 15, 3)).astype(np.uint8), (size, size)
+        g.integers(70, 180, (size // 15, size // 15, 3)).astype(np.uint8),
+        (size, size),
     ).astype(np.float32)
     code = cv2.aruco.generateImageMarker(
-        cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11), MARKER.id, 160
+        cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11),
+        MARKER.id,
+        160,
     )
     code = np.clip(
-        cv2.copyMakeBorder(code, 30, 30, 30, 30, cv2.BORDER_CONSTANT, value=255), *PRINT
+        cv2.copyMakeBorder(code, 30, 30, 30, 30, cv2.BORDER_CONSTANT, value=255),
+        *PRINT,
     ).astype(np.float32)
     noise = g.normal(0, 2, (4, HEIGHT, WIDTH, 3)).astype(np.float32)
     lamp = np.array([0.4, -0.5, -0.77])
@@ -101,7 +105,9 @@ def make_loop(path: Path, turned: bool) -> None:
         stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
         for i in range(LOOP):
             turn = 2 * math.pi * i / LOOP
-            place = np.array([-0.18 * (1 - math.cos(turn)), 0.005 * math.sin(turn), 0.32])
+            place = np.array(
+                [-0.18 * (1 - math.cos(turn)), 0.005 * math.sin(turn), 0.32]
+            )
             if 40 <= i < 60:
                 picture = drawn(table[::-1, ::-1] * 0.8, facing)[0]
             elif turned:
@@ -123,7 +129,9 @@ def make_loop(path: Path, turned: bool) -> None:
                 )
                 picture = drawn(with_print, Pose(tilt, place))[0]
             picture = np.clip(picture + noise[i % 4], 0, 255).astype(np.uint8)
-            out.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+            out.mux(
+                stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24"))
+            )
         out.mux(stream.encode(None))
 
 
@@ -136,7 +144,9 @@ def make_clip(loop: Path, path: Path, frames: int) -> Path:
         step = int(1 / (FPS * source.time_base))
         for start in range(0, frames, LOOP):
             with av.open(str(loop)) as c:
-                for k, p in enumerate(p for p in c.demux(c.streams.video[0]) if p.size):
+                for k, p in enumerate(
+                    p for p in c.demux(c.streams.video[0]) if p.size
+                ):
                     if start + k < frames:
                         p.pts = p.dts = (start + k) * step
                         p.stream = stream
@@ -149,7 +159,11 @@ def camera() -> Camera:
         WIDTH,
         HEIGHT,
         np.array(
-            [[FOCAL_PX, 0, (WIDTH - 1) / 2], [0, FOCAL_PX, (HEIGHT - 1) / 2], [0, 0, 1]]
+            [
+                [FOCAL_PX, 0, (WIDTH - 1) / 2],
+                [0, FOCAL_PX, (HEIGHT - 1) / 2],
+                [0, 0, 1],
+            ]
         ),
     )
 
@@ -318,7 +332,9 @@ def main() -> None:
         write_model(folder / "ball.glb")
         save_camera(folder / "camera.yaml", camera())
         for frames in given.lengths:
-            found.append(run(folder, frames, given.turned, given.workers, given.option))
+            found.append(
+                run(folder, frames, given.turned, given.workers, given.option)
+            )
             print(f"{frames} frames: {found[-1]['wall_s']:.0f} s", flush=True)
             if given.json:
                 Path(given.json).write_text(json.dumps(found, indent=1))

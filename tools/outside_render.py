@@ -90,7 +90,10 @@ def surround_with(path: Path) -> None:
 
 def place_camera(view: dict[str, Any]) -> None:
     scene = bpy.context.scene
-    scene.render.resolution_x, scene.render.resolution_y = view["width"], view["height"]
+    scene.render.resolution_x, scene.render.resolution_y = (
+        view["width"],
+        view["height"],
+    )
     scene.render.resolution_percentage = 100
     lens = bpy.data.cameras.new("camera")
     lens.sensor_fit, lens.sensor_width = "HORIZONTAL", SENSOR_MM
@@ -140,10 +143,14 @@ def write_png(path: Path, linear: np.ndarray) -> None:
     """sRGB, 8 bit, by Blender, as this environment has no other writer."""
     low = np.clip(linear, 0, 1)
     coded = np.where(low <= 0.0031308, 12.92 * low, 1.055 * low ** (1 / 2.4) - 0.055)
-    image = bpy.data.images.new(path.stem, coded.shape[1], coded.shape[0], alpha=False)
+    image = bpy.data.images.new(
+        path.stem, coded.shape[1], coded.shape[0], alpha=False
+    )
     image.colorspace_settings.name = "Non-Color"
     image.pixels = (
-        np.concatenate([coded, np.ones_like(coded[..., :1])], -1)[::-1].ravel().tolist()
+        np.concatenate([coded, np.ones_like(coded[..., :1])], -1)[::-1]
+        .ravel()
+        .tolist()
     )
     image.filepath_raw, image.file_format = str(path.resolve()), "PNG"
     image.save()

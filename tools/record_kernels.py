@@ -98,7 +98,9 @@ def record(file: Path, arguments: list[str]) -> None:
             sys.exit(pytest.main(["-p", "no:cacheprovider", *arguments[1:]]))
         main(arguments)
     finally:
-        file.write_text(json.dumps([[*key, seconds] for key, seconds in called.items()]))
+        file.write_text(
+            json.dumps([[*key, seconds] for key, seconds in called.items()])
+        )
 
 
 def run_all() -> dict[str, list[list[Any]]]:
@@ -137,7 +139,9 @@ def run_all() -> dict[str, list[list[Any]]]:
             ]
             subprocess.run(command, cwd=tree, env=environment, check=True)
             for row in sorted(json.loads(file.read_text())):
-                if tuple(row[:3]) not in noted and (part != SELDOM or row[3] >= SELDOM_S):
+                if tuple(row[:3]) not in noted and (
+                    part != SELDOM or row[3] >= SELDOM_S
+                ):
                     noted.add(tuple(row[:3]))
                     parts.setdefault(
                         (part != SELDOM and part_of(row[0])) or part, []
@@ -155,7 +159,9 @@ def part_of(module: str) -> str:
 def as_text(parts: dict[str, list[list[Any]]]) -> str:
     """A kernel a line."""
     lines = [
-        f' "{part}": [\n' + ",\n".join(f"  {json.dumps(row)}" for row in rows) + "\n ]"
+        f' "{part}": [\n'
+        + ",\n".join(f"  {json.dumps(row)}" for row in rows)
+        + "\n ]"
         for part, rows in parts.items()
     ]
     return "{\n" + ",\n".join(lines) + "\n}\n"

@@ -21,7 +21,10 @@ import mitsuba as mi
 import numpy as np
 
 FOLDER = (
-    Path(__file__).parents[1] / "sample_scenes" / "0041-indirect-light" / "path-traced"
+    Path(__file__).parents[1]
+    / "sample_scenes"
+    / "0041-indirect-light"
+    / "path-traced"
 )
 RADIUS_M = 0.06
 FAR_M = 60.0
@@ -44,7 +47,10 @@ def described(
     )
     plane = {
         "type": "twosided",
-        "inner": {"type": "diffuse", "reflectance": rgb(document["planes"]["albedo"])},
+        "inner": {
+            "type": "diffuse",
+            "reflectance": rgb(document["planes"]["albedo"]),
+        },
     }
     out: dict[str, Any] = {
         "type": "scene",
@@ -101,7 +107,10 @@ def described(
         }
     out["object"] = {**body, "bsdf": surface}
     if "emission" in scene:
-        out["object"]["emitter"] = {"type": "area", "radiance": rgb(scene["emission"])}
+        out["object"]["emitter"] = {
+            "type": "area",
+            "radiance": rgb(scene["emission"]),
+        }
     return out
 
 
@@ -112,7 +121,9 @@ def coded(linear: np.ndarray) -> np.ndarray:
         x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055
     )
     top = 2**BITS - 1
-    return np.asarray(np.round(curve * top).astype(np.uint32) * 65535 // top, np.uint16)
+    return np.asarray(
+        np.round(curve * top).astype(np.uint32) * 65535 // top, np.uint16
+    )
 
 
 def write_png(path: Path, pixels: np.ndarray) -> None:
@@ -154,7 +165,9 @@ def main() -> None:
             start = time.perf_counter()
             picture = np.array(
                 mi.render(
-                    mi.load_dict(described(document, name, given.samples, with_object))
+                    mi.load_dict(
+                        described(document, name, given.samples, with_object)
+                    )
                 )
             )
             path = given.out / f"{name}{'' if with_object else '-empty'}.png"

@@ -82,14 +82,23 @@ def marker_poses(clip: Analysis, rows: ClipRows, job: AnalysisJob) -> Analysis:
     transfer = choose_transfer(prints)
     seen = records(frames, prints, transfer)
     background = rows["background"]
-    found = solve_poses(seen, job.markers, camera, job.params, job.marker_map, background)
+    found = solve_poses(
+        seen, job.markers, camera, job.params, job.marker_map, background
+    )
     misfits = pattern_misfits(seen, job.prints)
-    summary = {"edge_transfer": transfer, "pattern_misfit_px": misfits, **found.summary}
+    summary = {
+        "edge_transfer": transfer,
+        "pattern_misfit_px": misfits,
+        **found.summary,
+    }
     return replace(found, frame_span=clip.frame_span, summary=summary)
 
 
 def lit(
-    clip: Analysis, rows: ClipRows, samples: Sequence[EnvironmentSample], job: AnalysisJob
+    clip: Analysis,
+    rows: ClipRows,
+    samples: Sequence[EnvironmentSample],
+    job: AnalysisJob,
 ) -> Analysis:
     """Every frame's light: read on the prints, guessed from the surroundings, or given."""
     readings = rows["readings"]
@@ -124,7 +133,9 @@ def surrounded(
     """The surroundings, for reflections: a guess of all of them, and what was seen of them."""
     anchor, still_camera = clip.world_from_anchor, clip.static == "camera"
     clip = clip.adding(
-        with_environment(clip.facts, samples, still_camera, job.panorama, anchor.rotation)
+        with_environment(
+            clip.facts, samples, still_camera, job.panorama, anchor.rotation
+        )
     )
     if job.panorama is not None:
         facts, maps = given_everywhere(clip.facts, job.panorama, anchor.rotation)
@@ -151,7 +162,9 @@ def moved(clip: Analysis, rows: ClipRows, job: AnalysisJob) -> Analysis:
     )
 
 
-def checks(facts: Sequence[FrameFacts], summary: Mapping[str, Any]) -> Iterator[Check]:
+def checks(
+    facts: Sequence[FrameFacts], summary: Mapping[str, Any]
+) -> Iterator[Check]:
     """The health of all estimates, from what they left in the clip."""
     yield from pattern_checks(summary)
     yield from pose_checks(facts, summary)

@@ -38,7 +38,9 @@ _HALF_CELLS, _MOST_HALF_PX = (
     24.0,
 )  # what is looked at: the rim and the margin are a cell wide
 _WINDOWS = 2.5  # window by standard deviations of the blur
-_LARGEST = 0.22  # of the half width: a disc beyond it is measured too small, by 5 % there
+_LARGEST = (
+    0.22  # of the half width: a disc beyond it is measured too small, by 5 % there
+)
 _FAINT = 20.0  # light (of 255) across an edge
 _STRAY = 0.25  # share of the gradient's size that lies outside of the edge
 _ROUNDS = 10
@@ -48,7 +50,9 @@ _SIGMA_PX, _SIGMA_FRACTION = (
     0.04,
 )  # of a measured blur: noise, and what is not a disc
 MIN_EDGES = 8
-MAX_CONDITION = 1e6  # of the normal matrix in scaled dioptres: float64 leaves 10 digits
+MAX_CONDITION = (
+    1e6  # of the normal matrix in scaled dioptres: float64 leaves 10 digits
+)
 # residuals beyond this many standard deviations count linearly: motion blurs some frames
 _HUBER = 1.5
 
@@ -90,7 +94,9 @@ def _deviation(slope: np.ndarray, place: np.ndarray, half: float) -> float:
         return np.nan
     shift = np.polyval(np.polyfit(where[there], centre[there], 2), where)
     middle, aligned = place.mean(0), place - shift[:, None]
-    mean = np.mean([*map(partial(np.interp, middle), aligned[there], slope[there])], 0)
+    mean = np.mean(
+        [*map(partial(np.interp, middle), aligned[there], slope[there])], 0
+    )
     s = half / 4
     for _ in range(_ROUNDS):
         w = min(max(_WINDOWS * s, 1.0), half / 2)
@@ -244,7 +250,9 @@ def lens_from_blur(
     growth, slope, level = p.tolist()
     if not growth > 3 * np.sqrt(covariance[0, 0]):
         why = "the blur does not grow away from any one distance beyond its noise"
-        return LensFit(False, f"{why}: distances differ by {100 * spread / middle:.1f} %")
+        return LensFit(
+            False, f"{why}: distances differ by {100 * spread / middle:.1f} %"
+        )
     bend = slope / (2 * growth)
     focus, k = middle - spread * bend, 2 * np.sqrt(growth) / spread
     sharp = level - growth * bend**2  # squared
@@ -253,7 +261,9 @@ def lens_from_blur(
         [1 / (np.sqrt(growth) * spread), 0, 0],
         [bend**2, -bend, 1],
     ]
-    ci, k_ci, sharp_ci = 1.96 * np.sqrt(np.diag(by_p @ covariance @ np.transpose(by_p)))
+    ci, k_ci, sharp_ci = 1.96 * np.sqrt(
+        np.diag(by_p @ covariance @ np.transpose(by_p))
+    )
     if sharp < -3 / 1.96 * sharp_ci:
         why = "the blur grows faster with distance than a lens's"
         return LensFit(False, f"{why}: something else blurs some edges")

@@ -97,7 +97,8 @@ class LightParams(Settings):
     def _fit(self) -> LightParams:
         if self.given and self.environment is not None:
             raise ConfigError(
-                "a light and an environment are given", "one of --light and --environment"
+                "a light and an environment are given",
+                "one of --light and --environment",
             )
         if self.ink >= self.paper:
             raise ConfigError(

@@ -18,11 +18,12 @@ import numpy as np
 
 Columns = dict[str, np.ndarray]
 Tables = dict[str, Columns]
-_SHAPES = (
-    "/shapes"  # of arrays of one column that differ: the column is what they hold, flat
-)
+_SHAPES = "/shapes"  # of arrays of one column that differ: the column is what they hold, flat
 _DIGEST_BYTES = 16
-_NONE, _UNUSED = -1, -2  # in shapes: instead of an array nothing; there are fewer axes
+_NONE, _UNUSED = (
+    -1,
+    -2,
+)  # in shapes: instead of an array nothing; there are fewer axes
 
 
 def by_columns(rows: Sequence[Any], kind: type) -> Columns:
@@ -48,7 +49,9 @@ def by_columns(rows: Sequence[Any], kind: type) -> Columns:
     return out
 
 
-def rows_of(columns: Mapping[str, np.ndarray], kind: type, shift: int = 0) -> list[Any]:
+def rows_of(
+    columns: Mapping[str, np.ndarray], kind: type, shift: int = 0
+) -> list[Any]:
     """The rows again. shift : to be added to their frames' numbers"""
     values = []
     for name, hint in _fields(kind):

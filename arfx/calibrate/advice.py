@@ -173,5 +173,7 @@ def projection_uncertainty_px(fitted: Fit, known: Uncertainty) -> np.ndarray:
     square of x and y).
     """
     j = projection_jacobian(fitted)
-    variance = np.einsum("np,pq,nq->n", j, known.covariance, j).reshape(-1, 2).sum(1) / 2
+    variance = (
+        np.einsum("np,pq,nq->n", j, known.covariance, j).reshape(-1, 2).sum(1) / 2
+    )
     return np.sqrt(np.maximum(variance, 0.0))

@@ -102,7 +102,8 @@ class BoardSpec:
         family = canonical_family(m[6])
         if not 0 < marker < square:
             raise ConfigError(
-                f"board {text!r}: the marker must be smaller than its square", EXAMPLES
+                f"board {text!r}: the marker must be smaller than its square",
+                EXAMPLES,
             )
         if (columns * rows) // 2 > FAMILIES[family]:
             raise ConfigError(

@@ -142,11 +142,15 @@ def find_board(
             " with a white margin",
         )
     if instead:
-        notices.append("mixed boards or markers: " + "; ".join(instead) + " (not used)")
+        notices.append(
+            "mixed boards or markers: " + "; ".join(instead) + " (not used)"
+        )
     return Found(spec, tuple(views), searched, tuple(empty), instead, tuple(notices))
 
 
-def _usual_kind(kinds: Mapping[str, Sequence[str]], notices: list[str]) -> Sequence[str]:
+def _usual_kind(
+    kinds: Mapping[str, Sequence[str]], notices: list[str]
+) -> Sequence[str]:
     """Names of the pictures of the usual size, held as the others; a notice says which are not.
 
     kinds : names by size and orientation. Raises InputError where no kind is that of most.

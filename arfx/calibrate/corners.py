@@ -95,7 +95,9 @@ _Corners = tuple[np.ndarray, np.ndarray, str]  # of a View
 
 
 def _charuco(gray: np.ndarray, spec: BoardSpec) -> _Corners | None:
-    corners, ids, _, _ = cv2.aruco.CharucoDetector(charuco_board(spec)).detectBoard(gray)
+    corners, ids, _, _ = cv2.aruco.CharucoDetector(charuco_board(spec)).detectBoard(
+        gray
+    )
     if ids is None or len(ids) < LEAST_CHARUCO_CORNERS:
         return None
     ids = np.asarray(ids).ravel()
@@ -137,7 +139,9 @@ def _chessboard(gray: np.ndarray, spec: BoardSpec) -> _Corners | None:
     # they are always in the picture. Is the first white, its opposite black? Then the grid
     # is turned
     ends = [grid[:2, :2].mean((0, 1)), grid[-2:, -2:].mean((0, 1))]
-    first, last = (cv2.getRectSubPix(gray, (3, 3), end.tolist()).mean() for end in ends)
+    first, last = (
+        cv2.getRectSubPix(gray, (3, 3), end.tolist()).mean() for end in ends
+    )
     if not spec.turn_is_ambiguous and first > last:
         pixels = pixels[::-1].copy()
     return np.arange(len(pixels)), pixels, finder
@@ -148,7 +152,9 @@ def corner_sharpness(gray: np.ndarray, pixels: np.ndarray) -> float:
     width in px, ~0.5 sharp, 0 blurred.
     """
     places = np.round(pixels).tolist()
-    patches = np.array([cv2.getRectSubPix(gray, (11, 11), at) for at in places], float)
+    patches = np.array(
+        [cv2.getRectSubPix(gray, (11, 11), at) for at in places], float
+    )
     slopes = np.percentile(np.hypot(*np.gradient(patches, axis=(1, 2))), 95, (1, 2))
     low, high = np.percentile(patches, (5, 95), (1, 2))
     return float(np.median(divide(slopes, high - low)))
@@ -173,7 +179,10 @@ TELLING = {
     "6X6_1000",
     "7X7_1000",
 }  # ... but not with these: codes this long do not come about by chance
-SMALL_CHESSBOARD = (4, 3)  # the sector-based finder grows from this to the whole board
+SMALL_CHESSBOARD = (
+    4,
+    3,
+)  # the sector-based finder grows from this to the whole board
 
 
 def seen_instead(gray: np.ndarray, spec: BoardSpec) -> str:
@@ -202,7 +211,9 @@ def seen_instead(gray: np.ndarray, spec: BoardSpec) -> str:
     if not chess or meta is None:
         return ""
     rows, columns = meta.shape[:2]
-    return f"a chessboard with {max(rows, columns)}x{min(rows, columns)} inner corners"
+    return (
+        f"a chessboard with {max(rows, columns)}x{min(rows, columns)} inner corners"
+    )
 
 
 def _working_spec(
@@ -215,7 +226,9 @@ def _working_spec(
     name = spec.family if own else smallest_family(family, most)
     for columns, rows in ((spec.columns, spec.rows), (spec.rows, spec.columns)):
         for legacy in (spec.legacy, not spec.legacy):
-            trial = replace(spec, columns=columns, rows=rows, legacy=legacy, family=name)
+            trial = replace(
+                spec, columns=columns, rows=rows, legacy=legacy, family=name
+            )
             if trial != spec and find_view(gray, trial, "") is not None:
                 return trial
     return None

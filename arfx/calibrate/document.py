@@ -14,7 +14,12 @@ def document(result: Calibration) -> dict[str, Any]:
 
     Lengths in px unless named otherwise; `camera_matrix` 3x3 nested.
     """
-    fitted, known, seen, found = result.fitted, result.known, result.seen, result.found
+    fitted, known, seen, found = (
+        result.fitted,
+        result.known,
+        result.seen,
+        result.found,
+    )
     camera, sd = fitted.camera, result.projection_sd_px
 
     return {
@@ -29,7 +34,11 @@ def document(result: Calibration) -> dict[str, Any]:
         "distortion_coefficients": camera.distortion.tolist(),
         "lens_model": fitted.model.name,
         "standard_deviations": dict(
-            zip(fitted.model.parameters, known.standard_deviations.tolist(), strict=True)
+            zip(
+                fitted.model.parameters,
+                known.standard_deviations.tolist(),
+                strict=True,
+            )
         ),
         "reprojection_rms_px": fitted.rms_px,
         "held_out_rms_px": result.chosen.held_out_rms_px,

@@ -21,7 +21,9 @@ DPI = 110
 
 def write_plots(result: Calibration, paths: Sequence[Path]) -> None:
     """Write the two pictures, as PNG, into existing folders."""
-    for path, figure in zip(paths, (_residuals(result), _coverage(result)), strict=True):
+    for path, figure in zip(
+        paths, (_residuals(result), _coverage(result)), strict=True
+    ):
         with atomic_write(path) as part:
             figure.savefig(part, format="png", dpi=DPI)
 
@@ -45,7 +47,9 @@ def _residuals(result: Calibration) -> Figure:
         scale=1,
         width=0.0015,
     )
-    words = f"found minus predicted, {scale:.0f} x enlarged: rms {fitted.rms_px:.3f} px"
+    words = (
+        f"found minus predicted, {scale:.0f} x enlarged: rms {fitted.rms_px:.3f} px"
+    )
     _picture_axes(field, result, words)
     rows = np.arange(len(fitted.views))
     bars.barh(rows, result.chosen.held_out_px, color="0.75", label="held out")
@@ -81,9 +85,7 @@ def _coverage(result: Calibration) -> Figure:
     circle = np.linspace(0, 2 * np.pi, 181)
     tilts.plot(circle, np.full(circle.shape, TILTED_DEG), "--", color="0.5")
     tilts.set_ylim(0, max(45.0, float(seen.tilt_deg.max()) * 1.1))
-    words = (
-        "tilt of each view, degrees, towards its near edge (dashed: too little to count)"
-    )
+    words = "tilt of each view, degrees, towards its near edge (dashed: too little to count)"
     tilts.set_title(words, fontsize=10)
     word, reasons, _ = result.verdict
     figure.suptitle(" - ".join([f"verdict: {word}", *reasons[:1]]))

@@ -89,7 +89,8 @@ def page_mm(name: str) -> Sequence[float]:
         if min(size) > 0:
             return size
     raise ConfigError(
-        f"unknown page {name!r}", f"{', '.join(PAGES_MM)}, or a size such as 300mmx400mm"
+        f"unknown page {name!r}",
+        f"{', '.join(PAGES_MM)}, or a size such as 300mmx400mm",
     )
 
 
@@ -123,7 +124,9 @@ class _Print(NamedTuple):
     words: str
 
 
-def outlines(black: np.ndarray, cell_mm: float, place_mm: Any = (0.0, 0.0)) -> np.ndarray:
+def outlines(
+    black: np.ndarray, cell_mm: float, place_mm: Any = (0.0, 0.0)
+) -> np.ndarray:
     """(n, 4, 2) mm, a rectangle for every black cell of a pattern (rows, columns): filled as
     one path they show no hairlines between them. place_mm : of its upper left corner
     """
@@ -155,7 +158,9 @@ def _board(spec: BoardSpec) -> _Print:
             place = 1000 * np.asarray(corners, float)[0, :2]
             black.append(outlines(cells, 1000 * spec.marker_m / len(cells), place))
     words = str(spec) + (" (inner corners)" if spec.kind == CHESSBOARD else "")
-    return _Print((columns * square, rows * square, 0.0), np.concatenate(black), words)
+    return _Print(
+        (columns * square, rows * square, 0.0), np.concatenate(black), words
+    )
 
 
 def _sheet(

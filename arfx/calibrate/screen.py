@@ -36,9 +36,7 @@ CORNER_RATIO = 4.5
 # views with less than this share of the median corner sharpness are left out: blur moves
 # corners
 BLUR_FRACTION = 0.7
-MOST_CORNERS = (
-    0.1  # of a view; one that would lose more stays as it is, for `reject_views` to judge
-)
+MOST_CORNERS = 0.1  # of a view; one that would lose more stays as it is, for `reject_views` to judge
 
 
 class Rejected(NamedTuple):
@@ -166,7 +164,9 @@ def sharpest_of_each(
     """Of every `group` frames (name, gray) in a row the sharpest, so that 1 in `group` is
     searched for the board.
     """
-    groups = itertools.groupby(enumerate(frames), lambda numbered: numbered[0] // group)
+    groups = itertools.groupby(
+        enumerate(frames), lambda numbered: numbered[0] // group
+    )
     for _, some in groups:
         yield max((f for _, f in some), key=lambda f: picture_sharpness(f[1]))
 

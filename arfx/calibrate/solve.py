@@ -67,7 +67,9 @@ MODELS = (  # each holds the one before it
     LensModel("k1 k2 p1 p2 k3", 5, 0),
     LensModel("rational", 8, cv2.CALIB_RATIONAL_MODEL),
 )
-FIRST_MODEL = MODELS[2]  # for telling good views from bad ones, before a model is chosen
+FIRST_MODEL = MODELS[
+    2
+]  # for telling good views from bad ones, before a model is chosen
 
 
 class Fit(NamedTuple):
@@ -232,7 +234,9 @@ def _inverse(normal: np.ndarray) -> np.ndarray:
     What rounding hides counts as hardly known: a pseudo-inverse would call it certain.
     """
     values, vectors = np.linalg.eigh(normal)
-    return (vectors / np.maximum(values, len(values) * np.finfo(float).eps)) @ vectors.T
+    return (
+        vectors / np.maximum(values, len(values) * np.finfo(float).eps)
+    ) @ vectors.T
 
 
 class Evidence(NamedTuple):
@@ -268,7 +272,9 @@ def choose_model(views: Sequence[View]) -> tuple[Evidence, list[Evidence]]:
     for simple in usable:
         difference = simple.held_out_px**2 - best.held_out_px**2
         error = np.std(difference, ddof=1) / np.sqrt(len(difference))
-        if np.mean(difference) <= max(error, LEAST_GAIN * 2 * best.held_out_rms_px**2):
+        if np.mean(difference) <= max(
+            error, LEAST_GAIN * 2 * best.held_out_rms_px**2
+        ):
             return simple, table
     return best, table
 
@@ -284,7 +290,9 @@ def cross_validate(views: Sequence[View], model: LensModel) -> Evidence:
         for k in range(folds) if folds > 3 else ():
             others = [v for i, v in enumerate(views) if i % folds != k]
             camera = fit(others, model).camera
-            held_out[k::folds] = [rms(pose_residual(v, camera)) for v in views[k::folds]]
+            held_out[k::folds] = [
+                rms(pose_residual(v, camera)) for v in views[k::folds]
+            ]
     except NothingToDoError as e:
         return Evidence(model, None, held_out, e.message)
     rejected = ""

@@ -97,7 +97,9 @@ def _short(text: str) -> str:
     return text if len(text) <= 80 else f"{text[:80]}…"
 
 
-def _set_value(tree: dict[str, Any], path: Sequence[str], value: Any, words: str) -> None:
+def _set_value(
+    tree: dict[str, Any], path: Sequence[str], value: Any, words: str
+) -> None:
     """Put a value into nested tables. Raises ConfigError where the way is barred."""
     at: Any = tree
     for part in path[:-1]:
@@ -109,7 +111,8 @@ def _set_value(tree: dict[str, Any], path: Sequence[str], value: Any, words: str
             )
     if isinstance(at.get(path[-1]), dict):
         raise ConfigError(
-            f"{words}: keys of {path[-1]!r} were given values already", "give one of them"
+            f"{words}: keys of {path[-1]!r} were given values already",
+            "give one of them",
         )
     at[path[-1]] = value
 

@@ -104,7 +104,9 @@ def load(
         if not known and len(formulas) > 1:
             message = f"{name}.formula {formula!r} is unknown"
             problem((name, "formula"), message, "one of " + ", ".join(formulas))
-    model = _job_model(tuple((name, parameters[name][f]) for name, f in chosen.items()))
+    model = _job_model(
+        tuple((name, parameters[name][f]) for name, f in chosen.items())
+    )
     try:
         job = model.model_validate(merged)
     except ValidationError as e:
@@ -157,7 +159,9 @@ def _message(path: KeyPath, error: Any) -> tuple[str, str]:
     return place + text, hint
 
 
-def read_job_file(file: Path, parameters: Parameters, kind: str = "job file") -> JobFile:
+def read_job_file(
+    file: Path, parameters: Parameters, kind: str = "job file"
+) -> JobFile:
     """kind : as in `opener.LIMITS`. Raises ConfigError, InputError."""
     text = read_text(file, kind)
     try:
@@ -201,7 +205,9 @@ def _fields(kind: Any) -> dict[str, Any]:
 def suggestion(name: str, known: Any) -> str:
     """'did you mean …?' or the list of what is known."""
     hit = difflib.get_close_matches(name, known, 1)
-    return f"did you mean {hit[0]!r}?" if hit else "known: " + ", ".join(sorted(known))
+    return (
+        f"did you mean {hit[0]!r}?" if hit else "known: " + ", ".join(sorted(known))
+    )
 
 
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

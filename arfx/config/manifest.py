@@ -68,7 +68,9 @@ def _toml(path: Path, parameters: Parameters) -> tuple[list[JobFile], list[JobFi
     tables = file.document.pop("job", [])
     if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
         raise ConfigError(
-            file.located("'job' must be tables", ("job",), "[[job]], one for each clip")
+            file.located(
+                "'job' must be tables", ("job",), "[[job]], one for each clip"
+            )
         )
     return [file], [
         file._replace(document=table, at=("job", k)) for k, table in enumerate(tables)
@@ -79,7 +81,9 @@ def _csv(path: Path) -> tuple[list[JobFile], list[JobFile]]:
     text = read_text(path, "manifest")
     first = text.partition("\n")[0]
     reader = csv.reader(
-        io.StringIO(text, newline=""), delimiter=max(",;\t", key=first.count), strict=True
+        io.StringIO(text, newline=""),
+        delimiter=max(",;\t", key=first.count),
+        strict=True,
     )
     file, heads, rows = JobFile(path, text, {}, line=1), list[str](), list[JobFile]()
     try:
@@ -90,7 +94,9 @@ def _csv(path: Path) -> tuple[list[JobFile], list[JobFile]]:
                 hint = "quote a cell that holds a comma"
                 raise ConfigError(file.located(message, (), hint))
             if heads and any(cells):
-                table = {h: cell for h, cell in zip(heads, cells, strict=False) if cell}
+                table = {
+                    h: cell for h, cell in zip(heads, cells, strict=False) if cell
+                }
                 rows.append(file._replace(document=table))
             elif any(cells):
                 heads = cells
@@ -113,7 +119,9 @@ def _job_files(
     sections = all_sections(parameters)
     named = row.document.pop("config", [])
     named = [named] if isinstance(named, str) else named
-    if not isinstance(named, list) or not all(isinstance(name, str) for name in named):
+    if not isinstance(named, list) or not all(
+        isinstance(name, str) for name in named
+    ):
         raise ConfigError(
             row.located("config must be a job file or a list of them", ("config",))
         )

@@ -97,13 +97,13 @@ class InputSection(Settings):
 
 
 class MarkerSection(Settings):
-    spec: Annotated[MarkerSpec, _parsed_by(MarkerSpec.parse), PlainSerializer(str)] = (
-        setting(
-            ...,
-            "FAMILY:ID:SIZE, such as 36h11:3:165mm.",
-            "--marker FAMILY:ID:SIZE",
-            "Repeatable: 36h11:3:165mm.",
-        )
+    spec: Annotated[
+        MarkerSpec, _parsed_by(MarkerSpec.parse), PlainSerializer(str)
+    ] = setting(
+        ...,
+        "FAMILY:ID:SIZE, such as 36h11:3:165mm.",
+        "--marker FAMILY:ID:SIZE",
+        "Repeatable: 36h11:3:165mm.",
     )
 
 
@@ -142,10 +142,12 @@ class ModelSection(Settings):
         "Degrees about the marker's axes, in this order.",
         "--rotate X,Y,Z",
     )
-    offset: Annotated[tuple[Length, Length, Length], BeforeValidator(_three)] = setting(
-        (0.0, 0.0, 0.0),
-        "Lengths along the marker's axes (x right, y up, z out): 0cm,2cm,0cm.",
-        "--offset X,Y,Z",
+    offset: Annotated[tuple[Length, Length, Length], BeforeValidator(_three)] = (
+        setting(
+            (0.0, 0.0, 0.0),
+            "Lengths along the marker's axes (x right, y up, z out): 0cm,2cm,0cm.",
+            "--offset X,Y,Z",
+        )
     )
     up: Literal["x", "y", "z"] | None = setting(
         None, "Which axis of the file points up; default by file type.", "--up"
@@ -229,7 +231,9 @@ class JobConfig(Settings):
     @property
     def params(self) -> dict[str, Any]:
         """The sections that `load` added."""
-        return {name: value for name, value in self if name not in JobConfig.model_fields}
+        return {
+            name: value for name, value in self if name not in JobConfig.model_fields
+        }
 
     @property
     def sources(self) -> tuple[Path, ...]:

@@ -57,7 +57,9 @@ def pack_detail(detail: np.ndarray) -> str:
 
 
 def _pack(a: np.ndarray) -> str:
-    return base64.b64encode(zlib.compress(np.ascontiguousarray(a).tobytes(), 6)).decode()
+    return base64.b64encode(
+        zlib.compress(np.ascontiguousarray(a).tobytes(), 6)
+    ).decode()
 
 
 def _unpack(text: str) -> bytes:

@@ -48,7 +48,10 @@ class Camera(Document):
         allowed = (0, 4) if self.model == FISHEYE else (0, 4, 5, 8, 12, 14)
         what = hint = ""
         if m.shape != (3, 3) or not np.isfinite([*m.flat, *d]).all():
-            what, hint = " holds values that are not finite numbers", "calibrate again"
+            what, hint = (
+                " holds values that are not finite numbers",
+                "calibrate again",
+            )
         elif min(m[0, 0], m[1, 1]) <= 0:
             what = f": focal length must be above 0, is {m[0, 0]:g}, {m[1, 1]:g} px"
         elif min(self.width, self.height) <= 0:
@@ -132,7 +135,9 @@ class Camera(Document):
         if not self.distorted:
             return target.copy()
         guess = (
-            self._fisheye_angle(target) if self.model == FISHEYE else self._newton(target)
+            self._fisheye_angle(target)
+            if self.model == FISHEYE
+            else self._newton(target)
         )
         found = np.linalg.norm(self.distort(guess) - target, axis=-1) <= 1e-6
         guess[~found | (np.linalg.norm(guess, axis=-1) > self.max_radius)] = np.nan
@@ -154,7 +159,8 @@ class Camera(Document):
         """(..., 2, 2) change of `distort` with ideal coordinates (..., 2): central differences."""
         h = 1e-6
         ends = [
-            self.distort(xy + axis) - self.distort(xy - axis) for axis in h * np.eye(2)
+            self.distort(xy + axis) - self.distort(xy - axis)
+            for axis in h * np.eye(2)
         ]
         return np.stack(ends, -1) / (2 * h)
 
@@ -173,7 +179,9 @@ class Camera(Document):
             step = divide(change, _cross(along_x, along_y)[..., None])
             size = np.linalg.norm(step, axis=-1, keepdims=True)
             # damped near a fold
-            guess[todo] = at + step * np.minimum(1.0, divide(0.3, size, where_zero=1.0))
+            guess[todo] = at + step * np.minimum(
+                1.0, divide(0.3, size, where_zero=1.0)
+            )
             todo[todo] = size[..., 0] > 1e-12
         return guess
 

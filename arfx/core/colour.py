@@ -62,7 +62,8 @@ class Transfer(Plain):
             if self.name in _NAMED or (kind == "gamma" and 0.1 <= float(value) <= 10):
                 return
         raise ConfigError(
-            f"unknown transfer {self.name!r}", f"one of {', '.join(_NAMED)}, gamma:2.2"
+            f"unknown transfer {self.name!r}",
+            f"one of {', '.join(_NAMED)}, gamma:2.2",
         )
 
     def to_json(self) -> str:
@@ -96,7 +97,10 @@ class Transfer(Plain):
         a = np.abs(v)
         if self.name == HLG:
             dark = a * a / 3
-            lin = np.where(a <= 0.5, dark, (np.exp((a - _C) / _A) + _B) / 12) / _HLG_WHITE
+            lin = (
+                np.where(a <= 0.5, dark, (np.exp((a - _C) / _A) + _B) / 12)
+                / _HLG_WHITE
+            )
         elif self.name == PQ:
             root = np.minimum(a, _PQ_MOST) ** (1 / _M2)
             share = np.maximum(root - _C1, 0) / (_C2 - _C3 * root)
@@ -123,7 +127,9 @@ class Transfer(Plain):
             v = np.where(
                 a <= toe / slope, a * slope, alpha * a ** (1 / power) - (alpha - 1)
             )
-        return np.copysign(v, lin).astype(lin.dtype if lin.dtype.kind == "f" else float)
+        return np.copysign(v, lin).astype(
+            lin.dtype if lin.dtype.kind == "f" else float
+        )
 
 
 SRGB = Transfer("srgb")
@@ -134,7 +140,8 @@ def yuv_from_rgb(matrix: str) -> np.ndarray:
     (full scale). Raises ConfigError for an unknown matrix name."""
     if matrix not in LUMA_COEFFICIENTS:
         raise ConfigError(
-            f"unknown colour matrix {matrix!r}", "one of " + ", ".join(LUMA_COEFFICIENTS)
+            f"unknown colour matrix {matrix!r}",
+            "one of " + ", ".join(LUMA_COEFFICIENTS),
         )
     kr, kb = LUMA_COEFFICIENTS[matrix]
     kg = 1 - kr - kb

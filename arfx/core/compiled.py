@@ -26,7 +26,11 @@ from typing import Any
 
 from arfx.core.machine import cache_folder, instructions
 
-FAST = {"contract", "nsz", "arcp"}  # what the compiler may do to rounding in most loops
+FAST = {
+    "contract",
+    "nsz",
+    "arcp",
+}  # what the compiler may do to rounding in most loops
 _PACKAGES = ("arfx", "arfx_cli")
 _NUMBAS = (
     "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator,"
@@ -92,7 +96,9 @@ class CacheLocator:
         self._function, self._file = function, file
 
     @classmethod
-    def from_function(cls, py_func: FunctionType, py_file: str) -> CacheLocator | None:
+    def from_function(
+        cls, py_func: FunctionType, py_file: str
+    ) -> CacheLocator | None:
         _take_damaged_files_for_stale()
         ours = py_func.__module__.partition(".")[0] in _PACKAGES
         there = os.path.exists(py_file)  # noqa: PTH110
@@ -141,11 +147,16 @@ def _stamp(file: str) -> str:
     text = _text(file)
     names = set[str]()
     for module, imported in _IMPORTS.findall(text):
-        names |= {module, *(f"{module}.{name}" for name in re.findall(r"\w+", imported))}
+        names |= {
+            module,
+            *(f"{module}.{name}" for name in re.findall(r"\w+", imported)),
+        }
     parts = [f"{_SLP}={os.environ.get(_SLP)}", text]
     for name in sorted(names & sys.modules.keys()):
         other = str(sys.modules[name].__file__)
-        parts.append(_stamp(other) if _COMPILES.search(_text(other)) else _text(other))
+        parts.append(
+            _stamp(other) if _COMPILES.search(_text(other)) else _text(other)
+        )
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 
 

@@ -68,7 +68,9 @@ def on_cube(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     )
 
 
-def _between_texels(size: int, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _between_texels(
+    size: int, directions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """((n, 4) numbers of the texels around directions (n, 3) in a cube of faces (size, size),
     (n, 4) weights of them): linear between the texels of a face, the outermost beyond them.
     """
@@ -83,7 +85,9 @@ def _between_texels(size: int, directions: np.ndarray) -> tuple[np.ndarray, np.n
     return texels.reshape(-1, 4), weights.reshape(-1, 4)
 
 
-def _weighed(faces: np.ndarray, texels: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def _weighed(
+    faces: np.ndarray, texels: np.ndarray, weights: np.ndarray
+) -> np.ndarray:
     """(n, c) sums of texels of a cube (6, size, size, c); as `_between_texels`."""
     near = faces.reshape(-1, faces.shape[-1])[texels]
     return np.asarray(np.einsum("nk,nkc->nc", weights, near))

@@ -116,7 +116,9 @@ class FrameFacts(Document):
         Raises ValueError: where there is none, it is not to be asked for.
         """
         if self.camera_from_world is None:
-            raise ValueError(f"frame {self.index} has no pose: look at `present` first")
+            raise ValueError(
+                f"frame {self.index} has no pose: look at `present` first"
+            )
         return self.camera_from_world
 
     @property

@@ -114,7 +114,9 @@ class Guard:
             )
 
     def _refuse_if_read(self, path: Path, option: str) -> None:
-        if what := self._reads.get(_real(path)) or self._by_identity.get(_identity(path)):
+        if what := self._reads.get(_real(path)) or self._by_identity.get(
+            _identity(path)
+        ):
             raise ConfigError(
                 f"output {path} is also an input ({what}): it would be lost",
                 f"name another with {option}",
@@ -138,7 +140,9 @@ def _check_folder(path: Path, option: str) -> None:
 
 def _check_file(path: Path, option: str) -> None:
     if path.is_dir() or not (path.is_file() or path.is_symlink()):
-        raise ConfigError(f"output {path} is not a file", f"name another with {option}")
+        raise ConfigError(
+            f"output {path} is not a file", f"name another with {option}"
+        )
 
 
 def check_file_name(path: Path, option: str = "-o") -> None:
@@ -157,7 +161,8 @@ def check_file_name(path: Path, option: str = "-o") -> None:
             ) from None
     except ValueError as e:
         raise ConfigError(
-            f"{str(path)!r} cannot be a file's name: {e}", f"name another with {option}"
+            f"{str(path)!r} cannot be a file's name: {e}",
+            f"name another with {option}",
         ) from None
 
 

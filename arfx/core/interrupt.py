@@ -15,7 +15,9 @@ import sys
 import threading
 import time
 
-TYPE_CHECKING = False  # as in typing, which takes longer to import than a signal may wait
+TYPE_CHECKING = (
+    False  # as in typing, which takes longer to import than a signal may wait
+)
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from typing import Any
@@ -182,7 +184,9 @@ def starting_workers() -> Iterator[None]:
     masks = hasattr(signal, "pthread_sigmask")
     with deferred():
         previous = (
-            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masks else set()
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            if masks
+            else set()
         )
         try:
             yield

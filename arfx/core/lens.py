@@ -33,7 +33,9 @@ class Lens:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.focal_mm) and self.focal_mm > 0):
-            raise InputError(f"focal length must be above 0 mm, is {self.focal_mm:g} mm")
+            raise InputError(
+                f"focal length must be above 0 mm, is {self.focal_mm:g} mm"
+            )
         if not self.fnumber > 0:
             raise InputError(
                 f"f-number must be above 0, is {self.fnumber:g}", "for example 2.8"
@@ -49,7 +51,10 @@ class Lens:
     def coc_at_infinity_mm(self) -> float:
         """Diameter of the blur circle of something infinitely far: F^2 / (N (U - F))."""
         return (
-            self.focal_mm / self.fnumber * self.focal_mm / (self.focus_mm - self.focal_mm)
+            self.focal_mm
+            / self.fnumber
+            * self.focal_mm
+            / (self.focus_mm - self.focal_mm)
         )
 
     @property
@@ -94,7 +99,9 @@ class Limits:
 def checked(lens: Lens, coc_mm: float) -> None:
     """Raises InputError unless coc_mm is above 0 and finite, and the focus distance is finite."""
     if not (math.isfinite(coc_mm) and coc_mm > 0):
-        raise InputError(f"the circle of confusion must be above 0 mm, is {coc_mm:g} mm")
+        raise InputError(
+            f"the circle of confusion must be above 0 mm, is {coc_mm:g} mm"
+        )
     if math.isinf(lens.focus_mm):
         raise InputError("depth of field needs a finite focus distance")
 

@@ -70,7 +70,9 @@ class Light(Document):
         """(..., 3) the same without the directional lights; never below 0."""
         n = np.asarray(normals, float)
         if not self.soft:
-            return np.broadcast_to(np.asarray(self.ambient_rgb, float), n.shape).copy()
+            return np.broadcast_to(
+                np.asarray(self.ambient_rgb, float), n.shape
+            ).copy()
         return np.clip(harmonics(n) @ np.asarray(self.soft, float), 0, None)
 
     @property

@@ -64,7 +64,9 @@ def preserve_scheduling() -> Iterator[None]:
     """Threads that the body starts, and its own, get no more of the processor afterwards
     than this one had before.
     """
-    if not hasattr(os, "sched_setscheduler"):  # POSIX has it, macOS and Windows do not
+    if not hasattr(
+        os, "sched_setscheduler"
+    ):  # POSIX has it, macOS and Windows do not
         yield
         return
     policy, priority = os.sched_getscheduler(0), os.sched_getparam(0)

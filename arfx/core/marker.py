@@ -150,7 +150,9 @@ def smallest_family(family: str, highest_id: int) -> str:
     root, _, size = family.partition("_")
     if family.startswith("MIP") or not size:
         return family
-    sizes = sorted(n for name, n in FAMILIES.items() if name.partition("_")[0] == root)
+    sizes = sorted(
+        n for name, n in FAMILIES.items() if name.partition("_")[0] == root
+    )
     return f"{root}_{next(n for n in sizes if n > highest_id)}"
 
 
@@ -163,7 +165,9 @@ def canonical_family(name: str) -> str:
     for known in FAMILIES:
         if s == known.upper():
             return known
-    raise ConfigError(f"unknown marker family {name!r}", "one of " + ", ".join(FAMILIES))
+    raise ConfigError(
+        f"unknown marker family {name!r}", "one of " + ", ".join(FAMILIES)
+    )
 
 
 def anchor_marker(markers: Sequence[Marker], placed: Container[str]) -> Marker:

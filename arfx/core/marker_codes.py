@@ -20,7 +20,9 @@ def dictionary(family: str) -> cv2.aruco.Dictionary:
         if "h" in family
         else ""
     )
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{maker}{family}"))
+    return cv2.aruco.getPredefinedDictionary(
+        getattr(cv2.aruco, f"DICT_{maker}{family}")
+    )
 
 
 def cells_per_side(family: str) -> int:

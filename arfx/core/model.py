@@ -93,7 +93,9 @@ class Material:
     def textures(self) -> dict[str, Texture]:
         """Those that it has, by name, in the order of TEXTURE_SLOTS."""
         given = {name: getattr(self, name) for name in TEXTURE_SLOTS}
-        return {name: texture for name, texture in given.items() if texture is not None}
+        return {
+            name: texture for name, texture in given.items() if texture is not None
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +136,11 @@ class Part:
             alpha *= int(m.base_texture.picture[..., 3].max()) / 255
         if self.colours is not None:
             alpha *= float(self.colours[:, 3].max())
-        return float(alpha >= m.alpha_cutoff) if m.alpha_mode == MASK else min(alpha, 1.0)
+        return (
+            float(alpha >= m.alpha_cutoff)
+            if m.alpha_mode == MASK
+            else min(alpha, 1.0)
+        )
 
 
 @dataclass(frozen=True, eq=False)

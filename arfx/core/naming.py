@@ -35,7 +35,9 @@ def named(pattern: Path, source: Path, numbered: bool = False) -> Path:
                 f"{source}: -o {pattern} needs its {{{field}}}, which is {values[field]!r}",
                 "rename it",
             )
-    name = {field: v.replace("%", "%%") if numbered else v for field, v in values.items()}
+    name = {
+        field: v.replace("%", "%%") if numbered else v for field, v in values.items()
+    }
     return Path(str(pattern.parent).format(**values)) / pattern.name.format(**name)
 
 
@@ -50,7 +52,9 @@ def _fields(pattern: Path) -> set[str]:
     found = [m for m in _BRACES.finditer(str(pattern)) if m[0] not in ("{{", "}}")]
     for m in found:
         if m[1] not in FIELDS:
-            known = "; ".join(f"{{{name}}} is {what}" for name, what in FIELDS.items())
+            known = "; ".join(
+                f"{{{name}}} is {what}" for name, what in FIELDS.items()
+            )
             raise ConfigError(
                 f"-o {pattern}: there is no field {m[0]}", f"{known}; {{{{ is a brace"
             )

@@ -19,8 +19,12 @@ def noise_key(seed: int, frame: int, stage: str) -> int:
 
 def noise(rect: Rect, key: int, channel: int = 0) -> np.ndarray:
     """(h, w) float32 in [0, 1), even, independent from pixel to pixel. key : below 2^32"""
-    start = _hash(np.array([(key + 0x9E3779B9 * (channel + 1)) & 0xFFFFFFFF], np.uint32))
-    rows = _hash(start ^ np.arange(rect.y0, rect.y1, dtype=np.int64).astype(np.uint32))
+    start = _hash(
+        np.array([(key + 0x9E3779B9 * (channel + 1)) & 0xFFFFFFFF], np.uint32)
+    )
+    rows = _hash(
+        start ^ np.arange(rect.y0, rect.y1, dtype=np.int64).astype(np.uint32)
+    )
     columns = np.arange(rect.x0, rect.x1, dtype=np.int64).astype(np.uint32)
     bits = _hash(rows[:, None] ^ _hash(columns + np.uint32(0x85EBCA6B))[None])
     return (bits >> np.uint32(8)).astype(np.float32) * np.float32(2.0**-24)

@@ -29,7 +29,9 @@ def divide(
     """a / b, with `where_zero` where b is zero or the quotient is not finite. Broadcasts."""
     with np.errstate(all="ignore"):
         q = np.asarray(a, float) / np.asarray(b, float)
-    return np.where(np.isfinite(q), q, where_zero)  # a quotient by zero is never finite
+    return np.where(
+        np.isfinite(q), q, where_zero
+    )  # a quotient by zero is never finite
 
 
 def normalise(v: np.ndarray, axis: int = -1) -> np.ndarray:

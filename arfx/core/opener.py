@@ -26,7 +26,9 @@ LIMITS: dict[str, float] = tomllib.loads(
 )
 # nesting of tables and lists in text: people write five; parsers and printers recurse
 MAX_NESTING = 64
-MAX_INTEGER = 1 << 63  # TOML's range; beyond it numbers overflow wherever they are used
+MAX_INTEGER = (
+    1 << 63
+)  # TOML's range; beyond it numbers overflow wherever they are used
 _UNPRINTABLE = re.compile(
     r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
 )
@@ -44,7 +46,8 @@ def check_name(name: str | Path) -> None:
     except UnicodeEncodeError:
         encoding = sys.getfilesystemencoding()
         raise ConfigError(
-            f"the name {str(os.fsencode(name))[1:]} is not {encoding} text", "rename it"
+            f"the name {str(os.fsencode(name))[1:]} is not {encoding} text",
+            "rename it",
         ) from None
 
 
@@ -96,7 +99,8 @@ def read_bytes(path: Path | str, kind: str) -> bytes:
     try:
         # not blocking: what was a file a moment ago may be a pipe now
         handle = os.open(
-            path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+            path,
+            os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0),
         )
         with os.fdopen(handle, "rb") as f:
             _check_status(os.fstat(handle), path, kind)
@@ -122,7 +126,8 @@ def as_text(data: bytes, path: Path | str, kind: str) -> str:
         return data.decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as e:
         raise InputError(
-            f"{kind} {path} is not text (byte {e.start} is not UTF-8)", "save it as UTF-8"
+            f"{kind} {path} is not text (byte {e.start} is not UTF-8)",
+            "save it as UTF-8",
         ) from None
 
 
@@ -144,7 +149,9 @@ def parse_json(text: str | bytes) -> Any:
     """Raises ValueError that says what is wrong: no JSON, nested too deep, a number out of
     range, NaN.
     """
-    return _parse(lambda: json.loads(text, parse_constant=_finite, parse_float=_finite))
+    return _parse(
+        lambda: json.loads(text, parse_constant=_finite, parse_float=_finite)
+    )
 
 
 def _parse(parse: Callable[[], Any]) -> Any:
@@ -210,7 +217,8 @@ def _unreadable(path: Path, kind: str, e: OSError | ValueError) -> InputError:
     if isinstance(e, FileNotFoundError):
         return InputError(f"{kind} {path}: no such file", "check the path")
     return InputError(
-        f"{kind} {path} cannot be read: {why(e)}", "check the path and its permissions"
+        f"{kind} {path} cannot be read: {why(e)}",
+        "check the path and its permissions",
     )
 
 

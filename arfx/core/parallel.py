@@ -20,7 +20,12 @@ T = TypeVar("T")
 # the environment of one of several processes: one thread for its kernels, its matrices and
 # its software rendering each
 ONE_THREAD = dict.fromkeys(
-    ("LP_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"),
+    (
+        "LP_NUM_THREADS",
+        "NUMBA_NUM_THREADS",
+        "OMP_NUM_THREADS",
+        "OPENBLAS_NUM_THREADS",
+    ),
     "1",
 )
 BANDS = 4
@@ -37,7 +42,10 @@ def _pool(pid: int) -> ThreadPoolExecutor:
 def _threads() -> int:
     """As many as compiled code may use here."""
     return max(
-        min(usable_cores(), int(os.environ.get("NUMBA_NUM_THREADS") or usable_cores())), 1
+        min(
+            usable_cores(), int(os.environ.get("NUMBA_NUM_THREADS") or usable_cores())
+        ),
+        1,
     )
 
 
@@ -56,7 +64,9 @@ def parallel_rows(
     unit : bands begin at multiples of it;  least : fewer rows are done one band after the other
     """
     step = -(-height // (BANDS * unit)) * unit
-    spans = [(y, min(y + step, height)) for y in range(0, height, step)] if height else []
+    spans = (
+        [(y, min(y + step, height)) for y in range(0, height, step)] if height else []
+    )
     return (
         [work(*span) for span in spans]
         if height < least

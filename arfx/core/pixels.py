@@ -44,7 +44,9 @@ class Plate:
     read : writes any part into its second argument, (h, w, 3) float32;  seconds : spent in it
     """
 
-    def __init__(self, rect: Rect, read: Callable[[Rect, np.ndarray], object]) -> None:
+    def __init__(
+        self, rect: Rect, read: Callable[[Rect, np.ndarray], object]
+    ) -> None:
         self.rect, self.seconds, self._read = rect, 0.0, read
         self._array = np.empty((rect.height, rect.width, 3), np.float32)
         self._made: set[int] = set()
@@ -52,7 +54,9 @@ class Plate:
     @staticmethod
     def of(array: np.ndarray, rect: Rect) -> Plate:
         """The one that is known already. array : (h, w, 3) float32 over `rect`"""
-        return Plate(rect, lambda part, out: np.copyto(out, array[part.slices_in(rect)]))
+        return Plate(
+            rect, lambda part, out: np.copyto(out, array[part.slices_in(rect)])
+        )
 
     def part(self, rect: Rect) -> np.ndarray:
         """(h, w, 3) of a rectangle inside it, a view."""

@@ -69,7 +69,9 @@ def tile_ranges(depth_m: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     # one pixel more on each side: the map is resampled to the frame
     rows, columns = (
         [
-            slice(max(i * TILE_PX * n // of - 1, 0), -(-(i + 1) * TILE_PX * n // of) + 1)
+            slice(
+                max(i * TILE_PX * n // of - 1, 0), -(-(i + 1) * TILE_PX * n // of) + 1
+            )
             for i in range(-(-of // TILE_PX))
         ]
         for n, of in zip(depth_m.shape, size[::-1], strict=True)
@@ -81,9 +83,9 @@ def tile_ranges(depth_m: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
     whole = tiles(known, np.logical_and)
     least, most = tiles(dioptre, np.minimum), tiles(dioptre, np.maximum)
-    return np.stack([np.where(whole, least, low), np.where(whole, most, high)]).astype(
-        "f4"
-    )
+    return np.stack(
+        [np.where(whole, least, low), np.where(whole, most, high)]
+    ).astype("f4")
 
 
 @dataclass(frozen=True, eq=False)

@@ -83,7 +83,9 @@ class SceneMesh:
             return np.zeros(0, int), np.zeros((0, 3)), np.zeros((0, 3))
         u = np.random.default_rng(seed).random((count, 2))
         along = (np.arange(count) + 0.5) / count
-        face = np.searchsorted(np.cumsum(area) / area.sum(), along).clip(0, len(area) - 1)
+        face = np.searchsorted(np.cumsum(area) / area.sum(), along).clip(
+            0, len(area) - 1
+        )
         folded = np.where(u.sum(1, keepdims=True) > 1, 1 - u, u)
         weights = np.column_stack([1 - folded.sum(1), folded])
         return face, weights, np.einsum("nk,nkc->nc", weights, self.corners_m[face])
@@ -101,7 +103,9 @@ def flatten(model: Model, world_from_model: np.ndarray) -> SceneMesh:
     parts = model.parts
     starts = np.cumsum([0, *(len(p.vertices) for p in parts)])
     centre = model.bounds.mean(0) @ linear.T + shift_m
-    vertices = np.concatenate([p.vertices @ linear.T + shift_m - centre for p in parts])
+    vertices = np.concatenate(
+        [p.vertices @ linear.T + shift_m - centre for p in parts]
+    )
     faces = np.concatenate([p.faces + n for p, n in zip(parts, starts, strict=False)])
 
     def rows(name: str, otherwise: np.ndarray) -> np.ndarray:

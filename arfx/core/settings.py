@@ -51,17 +51,23 @@ def setting(
 def listed(value: Any) -> Any:
     """A list as it is written after an option."""
     return (
-        [part.strip() for part in value.split(",")] if isinstance(value, str) else value
+        [part.strip() for part in value.split(",")]
+        if isinstance(value, str)
+        else value
     )
 
 
 def converted(settings: Settings, kind: type[Settings], **changes: Any) -> Any:
     """Settings of another formula: those that both have, and changes."""
-    both = settings.__class__.model_fields.keys() & kind.model_fields.keys() - {"formula"}
+    both = settings.__class__.model_fields.keys() & kind.model_fields.keys() - {
+        "formula"
+    }
     return kind(**{name: getattr(settings, name) for name in both} | changes)
 
 
 def from_dataclass(kind: type) -> Any:
     """Settings that a plug-in states as a frozen dataclass: read in the same way, without texts."""
-    config = ConfigDict(extra="forbid", arbitrary_types_allowed=True, allow_inf_nan=False)
+    config = ConfigDict(
+        extra="forbid", arbitrary_types_allowed=True, allow_inf_nan=False
+    )
     return pydantic.dataclasses.dataclass(frozen=True, config=config)(kind)

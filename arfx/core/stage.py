@@ -147,7 +147,9 @@ class Stage:
         ]
         if missing:
             raise TypeError(f"stage {cls.__qualname__} lacks {', '.join(missing)}")
-        if not cls.levels or cls.levels != tuple(n for n in LEVELS if n in cls.levels):
+        if not cls.levels or cls.levels != tuple(
+            n for n in LEVELS if n in cls.levels
+        ):
             raise TypeError(
                 f"levels of stage {cls.__qualname__} are {cls.levels!r}; they must be a tuple"
                 f" of some of {', '.join(LEVELS)}, in this order"
@@ -229,7 +231,9 @@ class ReadyStage:
         with blamed(stage, "while it prepares"):
             return ReadyStage(stage, scene, level, stage.prepare(scene, level))
 
-    def view(self, layers: Layers, facts: FrameFacts, out: Rect | None = None) -> View:
+    def view(
+        self, layers: Layers, facts: FrameFacts, out: Rect | None = None
+    ) -> View:
         """out : None = all"""
         key = noise_key(self.scene.seed, facts.index, self.stage.name)
         return View(

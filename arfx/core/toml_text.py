@@ -46,7 +46,8 @@ def _key_lines(text: str) -> dict[KeyPath, int]:
     found: dict[KeyPath, int] = {}
     for number, raw in enumerate(text.splitlines(), 1):
         m = re.match(
-            r"(?P<array>\[?)(?P<table>\[)\s*([^\]]+?)\s*\]|([\w\-.\"']+)\s*=", raw.strip()
+            r"(?P<array>\[?)(?P<table>\[)\s*([^\]]+?)\s*\]|([\w\-.\"']+)\s*=",
+            raw.strip(),
         )
         if not m:
             continue

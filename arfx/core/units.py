@@ -7,7 +7,14 @@ import re
 
 from arfx.errors import ConfigError
 
-METRES_PER = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254, "ft": 0.3048}
+METRES_PER = {
+    "um": 1e-6,
+    "mm": 1e-3,
+    "cm": 1e-2,
+    "m": 1.0,
+    "in": 0.0254,
+    "ft": 0.3048,
+}
 MAX_TIME_S = 1e9
 MAX_LENGTH_M = 1e7  # no scene is larger than the Earth
 
@@ -40,7 +47,8 @@ def time_s(text: str, what: str = "time") -> float:
         value = float(m[1] or 0) * 3600 + float(m[2]) * 60 + float(m[3])
     elif m := re.fullmatch(r"(\d+\.?\d*|\.\d+)\s*(ms|s|min|h)?", t):
         value = (
-            float(m[1]) * {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}[m[2] or "s"]
+            float(m[1])
+            * {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}[m[2] or "s"]
         )
     if not value <= MAX_TIME_S:
         shown = text if len(text) <= 40 else f"{text[:40]}…"

@@ -21,7 +21,11 @@ def dot(a, b):  # pragma: no cover - compiled
 
 @line_kernel(fastmath=FAST)
 def cross(a, b):  # pragma: no cover - compiled
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    return (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )
 
 
 @line_kernel(fastmath=FAST)

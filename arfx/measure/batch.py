@@ -54,7 +54,9 @@ def run_batch(
     rows: list[Row] = []
     with files_locked(guard, home, FILES, "--report"):
         try:
-            for k, row in enumerate(process_all(jobs, options, report_of_job, started)):
+            for k, row in enumerate(
+                process_all(jobs, options, report_of_job, started)
+            ):
                 rows.append(row)
                 ended(k, row)
             interrupt.commit(6 if any(row["exit_code"] for row in rows) else 0)
@@ -97,7 +99,9 @@ def page(rows: Sequence[Row], count: int, home: Path) -> str:
         if names_sequence(Path(path)):
             path = str(Path(path).parent)
         try:
-            return quote(os.fsencode(os.path.relpath(path, home).replace(os.sep, "/")))
+            return quote(
+                os.fsencode(os.path.relpath(path, home).replace(os.sep, "/"))
+            )
         except ValueError:  # on another drive
             return Path(path).absolute().as_uri()
 
@@ -108,7 +112,8 @@ def page(rows: Sequence[Row], count: int, home: Path) -> str:
         count=count,
         home=os.path.abspath(home),  # noqa: PTH100 - without ".."
         thumbnails=[
-            _thumbnail(row["report"]) if row["report"] in begun else None for row in rows
+            _thumbnail(row["report"]) if row["report"] in begun else None
+            for row in rows
         ],
         file_name=lambda path: Path(path).name,
         link=link,

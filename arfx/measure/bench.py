@@ -125,7 +125,9 @@ def check(
     sizes: Sequence[tuple[int, int]],
 ) -> None:
     if stage is not None and stage not in STAGES:
-        raise ConfigError(f"there is no stage {stage!r}", suggestion(stage, list(STAGES)))
+        raise ConfigError(
+            f"there is no stage {stage!r}", suggestion(stage, list(STAGES))
+        )
     for width, height in sizes:
         if min(width, height) < 64 or max(width, height) > 8192:
             raise ConfigError(

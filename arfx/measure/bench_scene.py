@@ -34,7 +34,9 @@ def ball(longitudes: int = _LONGITUDES, latitudes: int = _LATITUDES) -> Model:
     turn = np.arctan2(normals[:, 1], normals[:, 0])
     tilt = np.arccos(np.clip(normals[:, 2], -1, 1))
     uv = np.stack([turn / (2 * np.pi) % 1, tilt / np.pi], -1)
-    squares = np.kron(np.indices((8, 16)).sum(0) % 2, np.ones((16, 16), int))[..., None]
+    squares = np.kron(np.indices((8, 16)).sum(0) % 2, np.ones((16, 16), int))[
+        ..., None
+    ]
     colours = np.where(squares, (220, 180, 60, 255), (90, 120, 60, 255))
     texture, white = Texture(colours.astype(np.uint8)), (1.0, 1.0, 1.0, 1.0)
     material = Material("ball", white, base_texture=texture, roughness=0.6)

@@ -62,7 +62,9 @@ def fit(runs: Runs, terms: Iterable[str]) -> Price:
         raise ValueError("nothing to fit")
     if len(runs.seconds) <= len(names) and "mpx" in names:
         # too few to tell terms apart: by pixels, and what is there or not
-        names = [t for t in names if t in ("mpx", "depth_mpx") or t.startswith("new_")]
+        names = [
+            t for t in names if t in ("mpx", "depth_mpx") or t.startswith("new_")
+        ]
     rows = np.array([[row.get(t, 0.0) for t in names] for row in runs.terms], float)
     measured = np.array(runs.seconds)
     found = _coefficients(rows, measured)
@@ -94,7 +96,9 @@ def _cross_validation_error(rows: np.ndarray, measured: np.ndarray) -> float:
     off = [0.0]
     for scene in scenes if len(scenes) > 2 else ():
         out = (rows.round(9) == scene).all(1)
-        fitted = np.maximum(rows[out] @ _coefficients(rows[~out], measured[~out]), 1e-9)
+        fitted = np.maximum(
+            rows[out] @ _coefficients(rows[~out], measured[~out]), 1e-9
+        )
         off.append(float(np.clip(np.log(measured[out] / fitted), -1, 1).mean()))
     return float(np.linalg.norm(off)) / len(scenes) ** 0.5
 
@@ -198,7 +202,9 @@ def _time_scene(
             continue
         # seconds long: what loading it takes hardly shows
         for new in [once, []] if once else [[]]:
-            runs.add({**cell.terms(), **dict.fromkeys(new, 1.0)}, watch.of(cell.render))
+            runs.add(
+                {**cell.terms(), **dict.fromkeys(new, 1.0)}, watch.of(cell.render)
+            )
     return alone
 
 
@@ -217,7 +223,9 @@ def _time_fast(
         runs.add(terms, watch.of_concurrent(render))
     if SHORT_RUN_S < runs.seconds[-1] < LONG_RUN_S:
         alone.append(watch.of(render) / runs.seconds[-1])
-    ambient = replace(perturbed(), light=Light(ambient_rgb=(0.5, 0.5, 0.5), lights=()))
+    ambient = replace(
+        perturbed(), light=Light(ambient_rgb=(0.5, 0.5, 0.5), lights=())
+    )
     fewer = cell.terms(ambient)
     if any(fewer[t] != terms[t] for t in cell.stage.terms if t not in once):
         cell.render(ambient)
@@ -265,7 +273,9 @@ def _new_light(at: BenchScene, runs: Runs) -> FrameFacts:
     """The scene's facts under a light that was not met before: every call another."""
     turn = 0.3 + 0.17 * len(runs.seconds)
     lamp = DirectionalLight(
-        (float(np.cos(turn)), float(np.sin(turn)), 1.3), (0.6 + turn / 50, 0.6, 0.5), 4.0
+        (float(np.cos(turn)), float(np.sin(turn)), 1.3),
+        (0.6 + turn / 50, 0.6, 0.5),
+        4.0,
     )
     return replace(
         _perturbed_light(at)(),
@@ -280,7 +290,10 @@ def _perturbed_light(at: BenchScene) -> Callable[[], FrameFacts]:
     up = face_directions(ENVIRONMENT_SIZE)[..., 2:].clip(0)
     sky = up * np.array([0.5, 0.55, 0.6]) + 0.2
     environment = CubeMap.of(sky, None, np.full(3, 0.3))
-    light, count = at.scene.light, itertools.count()  # threads ask for the next at once
+    light, count = (
+        at.scene.light,
+        itertools.count(),
+    )  # threads ask for the next at once
 
     def facts() -> FrameFacts:
         red, green, blue = light.ambient_rgb

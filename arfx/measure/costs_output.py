@@ -30,7 +30,10 @@ from arfx.media.planes import copy_picture
 from arfx.media.writer import ChunkWriter, chunk_suffix
 
 SIZES = ((640, 360, 24), (1280, 720, 10))  # width, height, frames
-USUAL = ("h264", "ffv1")  # encoded twice, and at every size; others at the first alone
+USUAL = (
+    "h264",
+    "ffv1",
+)  # encoded twice, and at every size; others at the first alone
 JOINED = "h264"
 
 
@@ -63,7 +66,10 @@ def _edit(
     """
     width, height = info.width, info.height
     whole = Rect(0, 0, width, height)
-    for rect in (Rect(width // 3, height // 3, 2 * width // 3, 2 * height // 3), whole):
+    for rect in (
+        Rect(width // 3, height // 3, 2 * width // 3, 2 * height // 3),
+        whole,
+    ):
 
         def edit(rect: Rect = rect) -> None:
             for frame in frames[:6]:
@@ -91,7 +97,9 @@ def _encode(
     unused: queue.SimpleQueue[list[Frame]] = queue.SimpleQueue()
     for _ in range(watch.concurrency):
         copies = (copy_picture(f.picture, f.format.layout) for f in frames)
-        unused.put([replace(f, picture=p) for f, p in zip(frames, copies, strict=True)])
+        unused.put(
+            [replace(f, picture=p) for f, p in zip(frames, copies, strict=True)]
+        )
 
     def encode() -> None:
         path = folder / f"{codec}-{info.width}-{next(number)}{chunk_suffix(plan)}"
@@ -138,6 +146,8 @@ def write_clip(path: Path, width: int, height: int, frames: int) -> Path:
                 table, move, (width, height), borderMode=cv2.BORDER_REFLECT
             )
             picture = np.clip(picture + noise[i % 4], 0, 255).astype(np.uint8)
-            out.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+            out.mux(
+                stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24"))
+            )
         out.mux(stream.encode(None))
     return path

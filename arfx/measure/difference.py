@@ -52,7 +52,9 @@ def touched(*pairs: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     )
 
 
-def difference(reference: np.ndarray, test: np.ndarray, where: np.ndarray) -> Difference:
+def difference(
+    reference: np.ndarray, test: np.ndarray, where: np.ndarray
+) -> Difference:
     """Of two (h, w, 3) uint8 sRGB pictures.
 
     where : (h, w) bool, those that count; without any there is no difference
@@ -88,9 +90,9 @@ def flip_map(reference: np.ndarray, test: np.ndarray) -> np.ndarray:
         np.ascontiguousarray(p.astype(np.float32) / np.float32(255))
         for p in (reference, test)
     )
-    error = nbflip.evaluate(a, b, False, True, False, False, {"ppd": PIXELS_PER_DEGREE})[
-        0
-    ]
+    error = nbflip.evaluate(
+        a, b, False, True, False, False, {"ppd": PIXELS_PER_DEGREE}
+    )[0]
     return np.ascontiguousarray(error[..., 0], np.float32)
 
 
@@ -110,12 +112,18 @@ def ssim_map(reference: np.ndarray, test: np.ndarray) -> np.ndarray:
     half = 5  # of its window, a Gaussian of 1.5 px
     grey = [
         np.pad(
-            cv2.cvtColor(np.ascontiguousarray(p), cv2.COLOR_RGB2GRAY), half, mode="edge"
+            cv2.cvtColor(np.ascontiguousarray(p), cv2.COLOR_RGB2GRAY),
+            half,
+            mode="edge",
         )
         for p in (reference, test)
     ]
     found = structural_similarity(
-        *grey, full=True, gaussian_weights=True, sigma=1.5, use_sample_covariance=False
+        *grey,
+        full=True,
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
     )[1]
     return np.asarray(found[half:-half, half:-half])
 

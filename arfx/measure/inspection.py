@@ -125,7 +125,8 @@ def inspect(
             for m in markers
         ],
         "left_out": [m.to_json(looked) for m in left_out],
-        "marker_coverage": len({i for m in markers for i in m.quads}) / max(looked, 1),
+        "marker_coverage": len({i for m in markers for i in m.quads})
+        / max(looked, 1),
         "light": {
             "mean_level": _spread(levels),
             "clipped_fraction": max(clipped, default=0.0),

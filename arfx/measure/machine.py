@@ -148,7 +148,10 @@ def _codecs() -> Iterator[Check]:
                 info = probe(write_clip(Path(scratch) / "clip.mp4", 128, 96, 4))
                 plan = plan_output(info, out, OutputSettings(name))
                 path = Path(scratch) / f"{name}{chunk_suffix(plan)}"
-                with ClipReader(info) as reader, ChunkWriter(plan, info, path) as writer:
+                with (
+                    ClipReader(info) as reader,
+                    ChunkWriter(plan, info, path) as writer,
+                ):
                     for frame in reader.frames():
                         writer.write(frame)
                 if codec.sequence:

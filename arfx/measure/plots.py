@@ -52,16 +52,21 @@ def pose_plot(
     jitter.set_ylabel("second difference, px")
     jitter.set_title("Jitter of a cube on the marker against the footage")
     px = np.array(
-        [np.nan if f.reprojection_px is None else f.reprojection_px for f in facts], float
+        [np.nan if f.reprojection_px is None else f.reprojection_px for f in facts],
+        float,
     )
     error.plot(times, px, ".", ms=2.5, color=SMOOTH)
     error.set_ylabel("reprojection, px")
     for axis in (jitter, error):
         axis.set_ylim(bottom=0)
     order = (MEASURED, INTERPOLATED, ABSENT)
-    codes = np.array([[order.index(f.status) if f.status in order else 2 for f in facts]])
+    codes = np.array(
+        [[order.index(f.status) if f.status in order else 2 for f in facts]]
+    )
     if len(facts):
-        end = times[-1] + (float(np.median(np.diff(times))) if len(facts) > 1 else 1.0)
+        end = times[-1] + (
+            float(np.median(np.diff(times))) if len(facts) > 1 else 1.0
+        )
         colours = ListedColormap([STATUS_COLOUR[s] for s in order])
         strip.pcolormesh(
             np.append(times, end), [0, 1], codes, cmap=colours, vmin=-0.5, vmax=2.5

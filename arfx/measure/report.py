@@ -58,7 +58,8 @@ def write_report(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as e:
         raise RenderError(
-            f"report folder {folder} cannot be made: {e.strerror}", "name another place"
+            f"report folder {folder} cannot be made: {e.strerror}",
+            "name another place",
         ) from None
     write_json(folder / "report.json", document)
     write(folder / "report.html", html)
@@ -104,7 +105,11 @@ def read_report(job: Path) -> dict[str, Any]:
     keep = "`arfx process ... --job DIR` keeps one"
     for there, what, hint in (
         (job.is_dir(), f"there is no job folder {job}", keep),
-        (files.job.exists(), f"{job} is not a job folder: it holds no job.toml", keep),
+        (
+            files.job.exists(),
+            f"{job} is not a job folder: it holds no job.toml",
+            keep,
+        ),
         (
             files.report.exists(),
             f"the job in {job} is not finished",

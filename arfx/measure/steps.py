@@ -72,7 +72,9 @@ class StageRun:
         read = self.at.stage.needs(out, self.facts, scene, self.at.level)
         return read.union(out).clip(scene.camera.rect)
 
-    def __call__(self, out: Rect, facts: FrameFacts | None = None) -> Mapping[Layer, Any]:
+    def __call__(
+        self, out: Rect, facts: FrameFacts | None = None
+    ) -> Mapping[Layer, Any]:
         """What it makes of `out`. facts : others than the frame's"""
         return self.at.run(self.layers.view(self.need(out)), facts or self.facts, out)
 
@@ -112,7 +114,9 @@ class FrameRenderer:
 
     def run(self, chain: Chain) -> StageRun:
         """Its last step, upon those before it."""
-        return StageRun(self.prepared.at(*chain[-1]), self.facts, self.after(chain[:-1]))
+        return StageRun(
+            self.prepared.at(*chain[-1]), self.facts, self.after(chain[:-1])
+        )
 
     def image(self, chain: Chain) -> np.ndarray:
         """(h, w, 3) uint8 sRGB of the window after these steps."""
@@ -199,7 +203,9 @@ def open_frames(job: Job, wanted: Collection[int]) -> dict[int, FrameRenderer]:
     return out
 
 
-def window_of(plan: FramePlan, facts: FrameFacts, frame: Rect, area_px: float) -> Rect:
+def window_of(
+    plan: FramePlan, facts: FrameFacts, frame: Rect, area_px: float
+) -> Rect:
     """At most `area_px` pixels of what the plan changes, around the middle of the object's box."""
     whole = plan.changed
     if whole.area <= area_px:

@@ -48,7 +48,9 @@ class Stopwatch:
         pool, count = self.pool, self.concurrency
         assert pool is not None
         if self.processor:
-            return self.of(lambda: [*pool.map(lambda _: work(), range(count))]) / count
+            return (
+                self.of(lambda: [*pool.map(lambda _: work(), range(count))]) / count
+            )
         return sum(pool.map(lambda _: self.of(work), range(count))) / count
 
 

@@ -96,7 +96,9 @@ class _Work:
         if self.usual.keys() <= key:
             return {**own, **other}
         if key not in self.left:
-            left = stages_of(self.job.inputs.config.params, [n for n in own if n in key])
+            left = stages_of(
+                self.job.inputs.config.params, [n for n in own if n in key]
+            )
             self.left[key] = {
                 n: own[n] if repr(vars(stage)) == repr(vars(own[n])) else stage
                 for n, stage in left.items()
@@ -115,7 +117,9 @@ class _Work:
             fast(stages[n], level_named(stages[n].levels, self.usual[n]))
             for n in names[: names.index(name)]
         ]
-        return self.times.of((*before, (stages[name], row.levels[name])), self.sampled)
+        return self.times.of(
+            (*before, (stages[name], row.levels[name])), self.sampled
+        )
 
     def time(self, row: Row) -> Prediction:
         """Of a frame: the effect's step, or all of a pipeline."""
@@ -176,7 +180,9 @@ def measure(
         effects = [n for n in effects if n in only]
     compared = effects if only is not None else [PIPELINE, *effects]
     _choose_windows(work, [*map(work.reference, compared)], window_px)
-    found = Measurements(samples, [], [], {i: f.window for i, f in work.frames.items()})
+    found = Measurements(
+        samples, [], [], {i: f.window for i, f in work.frames.items()}
+    )
     total = len(effects) + 2
     for k, name in enumerate(effects):
         progress("effects", k, total)
@@ -185,7 +191,9 @@ def measure(
         progress("pipelines", len(effects), total)
         found.pipelines = _pipelines(work, found.effects)
     if other:
-        found.effects += [_of_other_formula(work, n, {n: s}) for n, s in other.items()]
+        found.effects += [
+            _of_other_formula(work, n, {n: s}) for n, s in other.items()
+        ]
         found.pipelines.append(_of_other_formula(work, PIPELINE, other))
     found.prepare_s = work.sampled[0].prepared.prepare_s
     progress("pipelines", total, total)
@@ -227,12 +235,16 @@ def _new_light_fractions(job: Job, names: Sequence[str]) -> dict[str, float]:
     return out
 
 
-def _choose_windows(work: _Work, sets: Sequence[Levels], window_px: int | None) -> None:
+def _choose_windows(
+    work: _Work, sets: Sequence[Levels], window_px: int | None
+) -> None:
     """As `measure` says, and at most MOST_PX."""
     frames = work.frames
     area = float(MOST_PX if window_px is None else window_px)
     if window_px is None:
-        alone, per_px = np.sum([work.slow_s(f, sets) for f in frames.values()], axis=0)
+        alone, per_px = np.sum(
+            [work.slow_s(f, sets) for f in frames.values()], axis=0
+        )
         area = min(area, max((REFERENCE_S - alone) / max(per_px, 1e-9), LEAST_PX))
     for i in frames:
         shown = frames[i - 1] if i == work.following else frames[i]
@@ -247,7 +259,8 @@ def _of_stage(work: _Work, name: str, found: Measurements) -> list[Row]:
     stage, usual, best = work.job.stages[name], work.usual, work.reference(name)
     formula = getattr(stage.params, "formula", "")
     rows = [
-        Row(name, level, formula, levels={**usual, name: level}) for level in stage.levels
+        Row(name, level, formula, levels={**usual, name: level})
+        for level in stage.levels
     ]
     levels = list(rows)
     without = {n: level for n, level in usual.items() if n != name}
@@ -282,7 +295,9 @@ def _compare(work: _Work, rows: Sequence[Row]) -> None:
             without = work.image(frame, left)
         for r in rows:
             r.pictures[i] = work.image(frame, r.levels, r.other)
-        where = touched((reference, without), *((reference, r.pictures[i]) for r in rows))
+        where = touched(
+            (reference, without), *((reference, r.pictures[i]) for r in rows)
+        )
         for r in rows:
             r.by_frame[i] = difference(reference, r.pictures[i], where)
 

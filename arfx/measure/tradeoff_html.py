@@ -101,7 +101,9 @@ def effect_plot(rows: Sequence[Row]) -> bytes:
     levels = [r for r in rows if r.level != LEFT_OUT and not r.other]
     other = [r for r in rows if r.other]
     worst = _points(levels, worst=True)
-    axis.plot(*worst, "o-", color=RAW, ms=5, lw=1, label="99th percentile, worst frame")
+    axis.plot(
+        *worst, "o-", color=RAW, ms=5, lw=1, label="99th percentile, worst frame"
+    )
     axis.plot(*_points(levels), "o-", color=SMOOTH, ms=5, lw=1, label="mean")
     axis.plot(*_points(other), "D", color=SMOOTH, ms=5)
     _named(axis, [*levels, *other], (4, -11))
@@ -124,7 +126,9 @@ def pipeline_plot(rows: Sequence[Row]) -> bytes:
     return _finished(fig, "Whole pipelines against everything at reference")
 
 
-def _points(rows: Sequence[Row], worst: bool = False) -> tuple[list[float], list[float]]:
+def _points(
+    rows: Sequence[Row], worst: bool = False
+) -> tuple[list[float], list[float]]:
     """Milliseconds, and grey levels: the mean, or the 99th percentile of the worst frame."""
     return [1e3 * r.seconds for r in rows], [
         max(r.worst("p99") if worst else r.average("mean"), FLOOR) for r in rows
@@ -134,7 +138,9 @@ def _points(rows: Sequence[Row], worst: bool = False) -> tuple[list[float], list
 def _named(axis: Any, rows: Sequence[Row], aside: tuple[int, int]) -> None:
     for r, *at in zip(rows, *_points(rows), strict=True):
         name = f"{r.formula} {r.level}" if r.other else r.level
-        axis.annotate(name, at, aside, textcoords="offset points", fontsize=8, color=INK)
+        axis.annotate(
+            name, at, aside, textcoords="offset points", fontsize=8, color=INK
+        )
 
 
 def _finished(fig: Any, title: str) -> bytes:
@@ -202,7 +208,8 @@ def _row(r: Row, found: Measurements) -> dict[str, Any]:
             else {"level": r.flicker[0], "reference": r.flicker[1]}
         ),
         "by_frame": {
-            str(i): {k: getattr(d, k) for k in PER_FRAME} for i, d in r.by_frame.items()
+            str(i): {k: getattr(d, k) for k in PER_FRAME}
+            for i, d in r.by_frame.items()
         },
     }
 
@@ -224,7 +231,9 @@ def recommendation(found: Measurements) -> str:
     lower = QUALITIES[: QUALITIES.index(chosen.level)] if chosen else ()
     worse = [r for r in found.effects if r.level in lower and visible(r)]
     shows = max(worse, key=lambda r: r.worst("p99"), default=None)
-    own = [r for r in found.effects if chosen and chosen.levels.get(r.name) == r.level]
+    own = [
+        r for r in found.effects if chosen and chosen.levels.get(r.name) == r.level
+    ]
     return render(
         "measure/tradeoff_advice.jinja",
         reference=reference,

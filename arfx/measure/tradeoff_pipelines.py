@@ -66,7 +66,9 @@ class Row:
         return max(self.by_frame, key=lambda i: self.by_frame[i].p99, default=None)
 
 
-def level_sets(effects: Sequence[Row], usual: Mapping[str, str]) -> list[dict[str, str]]:
+def level_sets(
+    effects: Sequence[Row], usual: Mapping[str, str]
+) -> list[dict[str, str]]:
     """Levels by stage, on the way from everything at its best to all that can be left out,
     by error lost per second saved.
 
@@ -75,7 +77,9 @@ def level_sets(effects: Sequence[Row], usual: Mapping[str, str]) -> list[dict[st
     """
     options: dict[tuple[int, str], list[Option]] = {}
     for r in effects:
-        options.setdefault((0, r.name), []).append(Option(r.level, r.time, r.total(), 1))
+        options.setdefault((0, r.name), []).append(
+            Option(r.level, r.time, r.total(), 1)
+        )
     sets = [
         {**usual, **{name: o.level for (_, name), o in state.items()}}
         for state in way_down(options)

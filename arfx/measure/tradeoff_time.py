@@ -26,7 +26,10 @@ LEAST_SPREAD = 0.08  # of log seconds: no machine repeats itself better
 OFTEN = 0.02  # fraction of frames under a new light from which on its cost is one of every frame
 ONCE_S = 3.0  # a run that took longer is not made again
 SLOW_S = 2.0  # a reference that takes longer over the whole is timed by its picture
-PROBE_PX, PROBE_S = 64, 2.0  # the least window, and a run that tells what a pixel costs
+PROBE_PX, PROBE_S = (
+    64,
+    2.0,
+)  # the least window, and a run that tells what a pixel costs
 
 
 @dataclass
@@ -58,7 +61,9 @@ class Times:
         pictures : frames, of which those that are slow were rendered
         """
         if self.is_slow(chain):
-            return mean([p for frame in pictures for p in self.scaled(frame, chain[-1])])
+            return mean(
+                [p for frame in pictures for p in self.scaled(frame, chain[-1])]
+            )
         if chain in self.whole:
             return self.whole[chain]
         stage = chain[-1][0]
@@ -104,17 +109,25 @@ class Times:
             self.slow_s[key] = (alone, per_px)
         return self.slow_s[key]
 
-    def scaled(self, frame: FrameRenderer, step: tuple[Stage, str]) -> list[Prediction]:
+    def scaled(
+        self, frame: FrameRenderer, step: tuple[Stage, str]
+    ) -> list[Prediction]:
         """Of the whole frame, from the first time that the step was rendered in the window."""
         chain = next((c for c in frame.seconds if c[-1] == step), None)
         if chain is None:
             return []
-        whole, out, box = planned(frame, step[0]), frame.out(chain), frame.facts.model_box
+        whole, out, box = (
+            planned(frame, step[0]),
+            frame.out(chain),
+            frame.facts.model_box,
+        )
         alone = min(self.alone_and_per_px(chain)[0], frame.seconds[chain])
         ratios = [whole.area / out.area]
         if in_window := box.clip(out).area:
             ratios.append(box.clip(whole).area / in_window)
-        ends = sorted(alone + (frame.seconds[chain] - alone) * ratio for ratio in ratios)
+        ends = sorted(
+            alone + (frame.seconds[chain] - alone) * ratio for ratio in ratios
+        )
         low, high = (with_spread(end, LEAST_SPREAD) for end in (ends[0], ends[-1]))
         return [Prediction(math.sqrt(ends[0] * ends[-1]), low.low_s, high.high_s)]
 

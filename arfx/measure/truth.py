@@ -77,7 +77,9 @@ def pose_errors(
     }
 
 
-def quantiles(values: Sequence[float] | np.ndarray, **percent: float) -> dict[str, float]:
+def quantiles(
+    values: Sequence[float] | np.ndarray, **percent: float
+) -> dict[str, float]:
     """By name, at so many percent of the values."""
     return {name: float(np.percentile(values, q)) for name, q in percent.items()}
 
@@ -117,7 +119,9 @@ def presence(
     missed : some marker is in full view, the analysis says absent;  invented : measured
     where none can be seen
     bridged : interpolated frames;  unclear : markers cut or covered in part, not judged"""
-    best = [max((f.markers[k].visible for k in keys), default=0.0) for f in truth.frames]
+    best = [
+        max((f.markers[k].visible for k in keys), default=0.0) for f in truth.frames
+    ]
     seen, hidden = np.array(best) >= SEEN, np.array(best) < HIDDEN
     status = np.array([f.status for f in facts])
     found = {
@@ -157,7 +161,10 @@ def map_errors(
     room = truth.frames[0].room_from_marker
     out: dict[str, dict[str, float]] = {}
     for k in others:
-        estimate, exact = mapped @ world_from_marker[k], room[world].inverse() @ room[k]
+        estimate, exact = (
+            mapped @ world_from_marker[k],
+            room[world].inverse() @ room[k],
+        )
         off = float(np.linalg.norm(estimate.translation_m - exact.translation_m))
         turned = float(np.degrees(rotation_angle_rad(estimate, exact)))
         out[k] = {"position_mm": 1e3 * off, "rotation_deg": turned}
@@ -232,7 +239,9 @@ def exceeded(figures: Mapping[str, Any], bounds: Mapping[str, Any]) -> list[str]
                 )
             elif not (value <= limit if kind == "max" else value >= limit):
                 bound = "at most" if kind == "max" else "at least"
-                broken.append(f"{dotted} is {value:.4g}, {bound} {limit:g} is allowed")
+                broken.append(
+                    f"{dotted} is {value:.4g}, {bound} {limit:g} is allowed"
+                )
     return broken
 
 
@@ -262,7 +271,9 @@ def light_errors(
         if fact.light is None:
             continue
         frames += 1
-        coded_bias = (SRGB.encode(np.array(rgb)) for rgb in (fact.bias_rgb, frame.bias))
+        coded_bias = (
+            SRGB.encode(np.array(rgb)) for rgb in (fact.bias_rgb, frame.bias)
+        )
         bias.append(255 * np.abs(np.subtract(*coded_bias)).max())
         irradiance += _irradiance(fact, frame, world_from_marker)
         if fact.light.source != MEASURED or not fact.light.lights:
@@ -302,7 +313,11 @@ def _irradiance(
     assert fact.light is not None
     out = []
     for key, marker in frame.markers.items():
-        if key not in world_from_marker or marker.visible < OPEN or marker.facing < 0.3:
+        if (
+            key not in world_from_marker
+            or marker.visible < OPEN
+            or marker.facing < 0.3
+        ):
             continue
         exact = np.array(frame.ambient_rgb, float)
         for lamp in frame.lights:

@@ -88,7 +88,9 @@ def read_document(path: Path) -> Mapping[str, Any]:
     if rows := _colmap_binary(data):
         return _colmap(rows)
     text = as_text(data, path, "camera file")
-    rows = [words for line in text.splitlines() if (words := line.split("#")[0].split())]
+    rows = [
+        words for line in text.splitlines() if (words := line.split("#")[0].split())
+    ]
     if rows and all(len(r) > 4 and _COLMAP_ROW.match(" ".join(r)) for r in rows):
         return _colmap(rows)
     return _parse(text)
@@ -141,7 +143,9 @@ def _numpy(data: bytes) -> Mapping[str, Any]:
                     out[name] = arrays[name].tolist()
     except Exception:  # whatever these readers stumble over
         what = "it is not a NumPy archive that can be read"
-        raise CameraFileError(f"{what}: damaged, or unpacks to more than 4 MiB") from None
+        raise CameraFileError(
+            f"{what}: damaged, or unpacks to more than 4 MiB"
+        ) from None
     return out
 
 
@@ -154,7 +158,9 @@ def _colmap_binary(data: bytes) -> list[list[Any]]:
             camera, model, *size = struct.unpack_from("<IIQQ", data, at)
             name, names = list(TABLES["colmap"].items())[model]
             values = struct.Struct(f"<{len(names.split())}d")
-            rows.append([str(camera), name, *size, *values.unpack_from(data, at + 24)])
+            rows.append(
+                [str(camera), name, *size, *values.unpack_from(data, at + 24)]
+            )
             at += 24 + values.size
         if len(rows) == count:
             return rows

@@ -79,7 +79,8 @@ def _from_names(document: Mapping[str, Any], where: str) -> Camera:
         raise CameraFileError(what, "plumb_bob, rational_polynomial, equidistant")
     # OpenCV's calibration sample marks a fisheye calibration with `fisheye_model: 1`
     fisheye = (
-        models.intersection(_LENSES["fisheye"]) or str(flat.get("fisheyemodel", 0)) == "1"
+        models.intersection(_LENSES["fisheye"])
+        or str(flat.get("fisheyemodel", 0)) == "1"
     )
     matrix = numbers(_first(flat, _NAMES["matrix"]), "the camera matrix")
     single = flat.get("intrinsics")
@@ -89,7 +90,9 @@ def _from_names(document: Mapping[str, Any], where: str) -> Camera:
     if not matrix.size and single is not None:
         four = numbers(single, "the list fx, fy, cx, cy")
         if four.size != 4:
-            raise CameraFileError("pinhole intrinsics are 4 numbers", "fx, fy, cx, cy")
+            raise CameraFileError(
+                "pinhole intrinsics are 4 numbers", "fx, fy, cx, cy"
+            )
         matrix = np.append(four, [0, 1])[[0, 4, 2, 4, 1, 3, 4, 4, 5]]
     if not matrix.size:
         keys = ", ".join(map(str, list(document)[:8])) or "nothing"
@@ -159,7 +162,9 @@ def save_camera(path: str | Path, camera: Camera, **extras: Any) -> None:
         "distortion_model": lens,
         "distortion_coefficients": _stored_matrix(d[None]),
         "rectification_matrix": _stored_matrix(np.eye(3)),
-        "projection_matrix": _stored_matrix(np.hstack([camera.matrix, np.zeros((3, 1))])),
+        "projection_matrix": _stored_matrix(
+            np.hstack([camera.matrix, np.zeros((3, 1))])
+        ),
         **({"fisheye_model": 1} if fisheye else {}),
         **extras,
     }
@@ -175,7 +180,12 @@ def save_camera(path: str | Path, camera: Camera, **extras: Any) -> None:
 
 
 def _stored_matrix(m: np.ndarray) -> dict[str, Any]:
-    return {"rows": m.shape[0], "cols": m.shape[1], "dt": "d", "data": m.ravel().tolist()}
+    return {
+        "rows": m.shape[0],
+        "cols": m.shape[1],
+        "dt": "d",
+        "data": m.ravel().tolist(),
+    }
 
 
 def _check(camera: Camera) -> None:
@@ -187,7 +197,9 @@ def _check(camera: Camera) -> None:
         if wrong.any():
             numbers = " ".join(f"{v:g}" for v in row)
             hint = f"{_SHAPE}, not the transposed, and without skew"
-            raise CameraFileError(f"the camera matrix's {name} row is {numbers}", hint)
+            raise CameraFileError(
+                f"the camera matrix's {name} row is {numbers}", hint
+            )
     for what, hint in _outside(camera, "may", "what", "hint"):
         raise CameraFileError(what, hint)
 
@@ -230,7 +242,9 @@ def calibration_claims(path: str | Path) -> dict[str, Any]:
         return {}
     kinds = {"verdict": str, "reasons": list}
     out = {
-        key: flat[key] for key, kind in kinds.items() if isinstance(flat.get(key), kind)
+        key: flat[key]
+        for key, kind in kinds.items()
+        if isinstance(flat.get(key), kind)
     }
     with contextlib.suppress(TypeError, ValueError):
         if math.isfinite(condition := number(flat.get("condition"))):

@@ -270,7 +270,9 @@ def _info(
             says = f"has the unsupported colour matrix {space}"
             if space in (0, UNSPECIFIED):
                 says = "names no colour matrix"
-            notices.append(f"the stream {says}: {matrix} is used ({first.height} lines)")
+            notices.append(
+                f"the stream {says}: {matrix} is used ({first.height} lines)"
+            )
     range_tag = int(first.color_range) or int(ctx.color_range)
     whole = {"yuv": (2,), "gray": (0, 2), "rgb": (0, 1, 2)}[layout.kind]
     full = range_tag in whole or first.format.name.startswith("yuvj")
@@ -284,7 +286,9 @@ def _info(
     if first.interlaced_frame and order < _FIELDS:
         order = _FIELDS
     if order >= _FIELDS:
-        notices.append("the clip is interlaced; its fields are processed as one picture")
+        notices.append(
+            "the clip is interlaced; its fields are processed as one picture"
+        )
     size = first.width, first.height
     w, h = size[::-1] if orientation.transpose else size
     sample = Fraction(stream.sample_aspect_ratio or 1)
@@ -415,6 +419,7 @@ def match_in_order(
     wanted = before + frames
     if held < wanted or (whole and held > wanted):
         raise InputError(
-            f"{what}, the clip has {'' if whole else 'at least '}{wanted} frames", hint
+            f"{what}, the clip has {'' if whole else 'at least '}{wanted} frames",
+            hint,
         )
     return list(range(before, wanted))

@@ -137,7 +137,9 @@ def open_video(path: Path, kind: str = "clip") -> Any:
         )
     except (av.error.FFmpegError, OSError, ValueError) as e:
         reason, hint = _diagnose(path)
-        if not reason and isinstance(e, av.error.ArgumentError):  # the list of formats
+        if not reason and isinstance(
+            e, av.error.ArgumentError
+        ):  # the list of formats
             reason = "it is of a format that is not read"
             hint = "convert it to .mp4 or .mkv"
         raise InputError(

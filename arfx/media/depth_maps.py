@@ -33,14 +33,14 @@ TIFF = (".tif", ".tiff")
 VIDEO = (".mkv", ".nut", ".avi", ".mov", ".mp4")
 SUFFIXES = (".png", ".pgm", ".exr", *TIFF)
 _KINDS = "16-bit PNG or PGM, TIFF, EXR"
-_STEPS_A_METRE = 1000.0  # of integers, where the job does not say otherwise: millimetres
+_STEPS_A_METRE = (
+    1000.0  # of integers, where the job does not say otherwise: millimetres
+)
 _ASPECT = 0.005
 # of the maps' spacing: a map is of the frames nearer than half of it, and cameras are not
 # on time to a tenth
 _REACH = 0.55
-LAMBDA = (
-    10.0  # radius of the smoother: about its square root, px, where the picture is even
-)
+LAMBDA = 10.0  # radius of the smoother: about its square root, px, where the picture is even
 SIGMA = 6.0  # grey levels that count as an edge
 _FAINT = 1e-6  # a mask smoothed to less than this carries nothing: the nearest known value is used
 
@@ -148,7 +148,9 @@ class DepthMaps:
             shapes = f"is {w}x{h}, the clip {width}x{height}: another shape"
             hint = "maps as the clip is shown, of its size or the same aspect ratio"
             raise InputError(f"depth map {self.name(number)} {shapes}", hint)
-        steps = self.steps_per_m or (_STEPS_A_METRE if stored.dtype.kind == "u" else 1.0)
+        steps = self.steps_per_m or (
+            _STEPS_A_METRE if stored.dtype.kind == "u" else 1.0
+        )
         with np.errstate(all="ignore"):
             metres = stored.astype(np.float32) / np.float32(steps)
             good = np.isfinite(metres) & (metres > 0)
@@ -161,7 +163,9 @@ class DepthMaps:
         if self.read:
             raw = self.read(number)
         else:
-            raw = decode_picture(self.files[number], "depth map", cv2.IMREAD_UNCHANGED)
+            raw = decode_picture(
+                self.files[number], "depth map", cv2.IMREAD_UNCHANGED
+            )
         if raw.ndim != 2 or raw.dtype not in (np.uint16, np.float32):
             channels = 1 if raw.ndim == 2 else raw.shape[2]
             kind = f"{raw.dtype} with {channels} channel{'s' if raw.ndim > 2 else ''}"
@@ -197,7 +201,9 @@ def open_depth(
         if suffix in VIDEO:
             read, times_s = _open_video(path)
             count = len(times_s)
-            return DepthMaps(path, (path,), count, steps_per_m, start_s, times_s, read)
+            return DepthMaps(
+                path, (path,), count, steps_per_m, start_s, times_s, read
+            )
         if suffix not in SUFFIXES:
             hint = f"{_KINDS}; a folder of them; or a video of 16-bit grey (FFV1)"
             raise InputError(f"depth {path} is not a depth map", hint)

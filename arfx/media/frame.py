@@ -81,7 +81,9 @@ class Frame:
         f, small = self.format, min(1.0, width / self.rect.width)
         width, height = (max(round(side * small), 1) for side in (f.width, f.height))
         coded = self._rgb24(width=width, height=height, interpolation="AREA")
-        return np.take(f.transfer.decode(np.arange(256) / 255).astype(np.float32), coded)
+        return np.take(
+            f.transfer.decode(np.arange(256) / 255).astype(np.float32), coded
+        )
 
     def _rgb24(self, **how: Any) -> np.ndarray:
         """The whole upright picture. how : as of `reformat`"""
@@ -118,7 +120,9 @@ class Frame:
         if out is None:
             out = np.empty((rect.height, rect.width, 3), np.float32)
         coded = f.orientation.coded(out)
-        into = coded if coded.flags.c_contiguous else np.empty(coded.shape, np.float32)
+        into = (
+            coded if coded.flags.c_contiguous else np.empty(coded.shape, np.float32)
+        )
         planes = samples.three(planes_of(self.picture, f.layout))
         samples.read(s, planes, r, samples.scratch_for(s, r), into)
         if into is not coded:

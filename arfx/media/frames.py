@@ -192,7 +192,9 @@ class ClipReader:
         be found for sure.
         """
         stream = self._open()
-        self._first = first_pts  # what is before it may lack what it was predicted from
+        self._first = (
+            first_pts  # what is before it may lack what it was predicted from
+        )
         try:
             self._container.seek(first_pts, stream=stream, backward=True)
         except (av.error.FFmpegError, OSError):

@@ -15,8 +15,23 @@ from arfx.media.model_files import DAMAGED, TABLES, ModelFile
 from arfx.media.model_parts import shares
 
 _CONVERT = "npx @gltf-transform/cli"
-_SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-_KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_SHAPES = {
+    "SCALAR": 1,
+    "VEC2": 2,
+    "VEC3": 3,
+    "VEC4": 4,
+    "MAT2": 4,
+    "MAT3": 9,
+    "MAT4": 16,
+}
+_KINDS = {
+    5120: "<i1",
+    5121: "<u1",
+    5122: "<i2",
+    5123: "<u2",
+    5125: "<u4",
+    5126: "<f4",
+}
 
 
 class Gltf:
@@ -28,7 +43,9 @@ class Gltf:
 
     def __init__(self, file: ModelFile) -> None:
         self.file = file
-        text, self._chunk = _chunks(file.data) if file.kind == "glb" else (file.data, b"")
+        text, self._chunk = (
+            _chunks(file.data) if file.kind == "glb" else (file.data, b"")
+        )
         try:
             self.header: dict[str, Any] = parse_json(text.decode("utf-8-sig"))
         except ValueError as e:
@@ -82,7 +99,9 @@ class Gltf:
         start = view.get("byteOffset", 0) + place.get("byteOffset", 0)
         stride = view.get("byteStride", kind.itemsize * columns)
         content = self._buffers[view["buffer"]]
-        return np.ndarray((count, columns), kind, content, start, (stride, kind.itemsize))
+        return np.ndarray(
+            (count, columns), kind, content, start, (stride, kind.itemsize)
+        )
 
 
 def _chunks(data: bytes) -> tuple[bytes, bytes]:

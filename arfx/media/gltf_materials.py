@@ -36,7 +36,9 @@ def gltf_material(gltf: Gltf, number: int, coloured: bool) -> Material:
         fields[name] = tuple(map(float, value)) if several else float(value)
     if (glossy := extensions.get("KHR_materials_pbrSpecularGlossiness")) is not None:
         fields |= _metallic(gltf, glossy)
-    strength = _stated(extensions, "KHR_materials_emissive_strength/emissiveStrength", 1)
+    strength = _stated(
+        extensions, "KHR_materials_emissive_strength/emissiveStrength", 1
+    )
     fields["emissive"] = tuple(float(strength) * v for v in fields["emissive"])
     if not any(fields["emissive"]):
         fields["emissive_texture"] = None

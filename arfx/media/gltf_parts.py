@@ -36,7 +36,9 @@ def gltf_meshes(file: ModelFile) -> Iterator[Placed]:
     Raises InputError: limits, what is missing or does not fit together."""
     gltf = Gltf(file)
     material_of = cache(partial(gltf_material, gltf))
-    triangles_of = cache(lambda number: list(_triangles_of(gltf, number, material_of)))
+    triangles_of = cache(
+        lambda number: list(_triangles_of(gltf, number, material_of))
+    )
     for number, model_from_mesh in _placed(gltf):
         for faces, rows, material in triangles_of(number):
             yield faces, rows, model_from_mesh, material

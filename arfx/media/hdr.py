@@ -82,7 +82,9 @@ def with_static_data(
     said = []
     if display is not None:
         numbers = [f"{units * x:.10g}" for x in display[:8]]
-        red, green, blue, white = (",".join(numbers[k : k + 2]) for k in range(0, 8, 2))
+        red, green, blue, white = (
+            ",".join(numbers[k : k + 2]) for k in range(0, 8, 2)
+        )
         least, most = (f"{units_cd_m2 * x:.10g}" for x in display[8:])
         said.append(
             f"{of_display}=G({green})B({blue})R({red})WP({white})L({most},{least})"

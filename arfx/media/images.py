@@ -133,9 +133,7 @@ def _one_channel(data: bytes, path: Path) -> bytes:
     wanted = next((n for n in _DEPTH_CHANNELS if n in ends), None)
     if wanted is None:
         held = ", ".join(n.decode(errors="replace") for n in ends)
-        what = (
-            f"depth map {path} holds the channels {held}, none of which is known as depth"
-        )
+        what = f"depth map {path} holds the channels {held}, none of which is known as depth"
         raise InputError(what, "one called Z, V, Y or R")
     renamed = bytearray(data)
     for name, last in ends.items():
@@ -179,8 +177,12 @@ def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
                 raw = np.asarray(picture.convert("L" if grey else "RGB"))
             return raw if grey else raw[..., ::-1]
         if data.startswith(_EXR) and flags == cv2.IMREAD_UNCHANGED:
-            return _decode_exr(_one_channel(data, path) if kind == "depth map" else data)
-        decoded: np.ndarray | None = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+            return _decode_exr(
+                _one_channel(data, path) if kind == "depth map" else data
+            )
+        decoded: np.ndarray | None = cv2.imdecode(
+            np.frombuffer(data, np.uint8), flags
+        )
         if decoded is not None:
             return decoded
     except (cv2.error, *_STUMBLES):
@@ -272,7 +274,9 @@ def _sizes(data: bytes | Path, path: Path, kind: str) -> Sequence[tuple[int, int
         windows = [
             struct.unpack_from("<4i", data, held[n][0]) for n in _WINDOWS if n in held
         ]
-        return [(right - left + 1, low - top + 1) for left, top, right, low in windows]
+        return [
+            (right - left + 1, low - top + 1) for left, top, right, low in windows
+        ]
     try:
         with open_picture(data, path, kind) as picture:
             return [picture.size]

@@ -202,7 +202,8 @@ def _plain_metadata(metadata: Mapping[str, str]) -> dict[str, str]:
     return {
         k: v
         for k, v in metadata.items()
-        if k.lower() not in _MUXER_OWN and not k.startswith(("_STATISTICS", "NUMBER_OF"))
+        if k.lower() not in _MUXER_OWN
+        and not k.startswith(("_STATISTICS", "NUMBER_OF"))
     }
 
 

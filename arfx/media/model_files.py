@@ -52,7 +52,9 @@ class ModelFile:
     def check_counts(self, faces: int, parts: int = 0) -> None:
         """Raises InputError: there are more than can be handled."""
         if faces > MAX_FACES:
-            raise InputError(f"it has more than {MAX_FACES} faces", "simplify it first")
+            raise InputError(
+                f"it has more than {MAX_FACES} faces", "simplify it first"
+            )
         if parts > MAX_PARTS:
             what = f"it has more than {MAX_PARTS} parts or materials"
             raise InputError(what, "join them first")

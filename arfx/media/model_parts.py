@@ -19,7 +19,13 @@ from arfx.media.model_normals import corner_normals, corner_tangents
 # the fourth power: float32 coordinates are exact to 6e-8 of the extent, a height below is rounding.
 _DEGENERATE = (6e-8) ** 4
 _BRIGHTEST = 1e6  # emission, where white paper in full light is 1
-_UNIT = ("metallic", "roughness", "clearcoat", "clearcoat_roughness", "sheen_roughness")
+_UNIT = (
+    "metallic",
+    "roughness",
+    "clearcoat",
+    "clearcoat_roughness",
+    "sheen_roughness",
+)
 
 
 Rows = dict[str, np.ndarray]
@@ -94,7 +100,9 @@ def _usable(rows: Rows) -> Rows:
     out = {}
     for name, values in rows.items():
         finite = np.isfinite(values).all(1, keepdims=True)
-        if len(values) == len(rows["vertices"]) and (name.endswith("uv") or finite.all()):
+        if len(values) == len(rows["vertices"]) and (
+            name.endswith("uv") or finite.all()
+        ):
             out[name] = np.where(finite, values, 0.0)
     return out
 
@@ -140,7 +148,9 @@ def unit_colours(values: np.ndarray) -> np.ndarray:
     """(n, 4) between 0 and 1 of red, green, blue and maybe alpha (n, 3 or 4), whole numbers as
     `shares`; what is no number leaves a colour alone."""
     out = np.ones((len(values), 4))
-    out[:, : values.shape[1]] = np.nan_to_num(shares(values), nan=1, posinf=1, neginf=1)
+    out[:, : values.shape[1]] = np.nan_to_num(
+        shares(values), nan=1, posinf=1, neginf=1
+    )
     return np.clip(out, 0.0, 1.0)
 
 
@@ -168,7 +178,9 @@ def checked(material: Material) -> Material:
     numbers = [np.ravel(x) for x in given if isinstance(x, (float, tuple))]
     numbers += [t.picture_from_uv.ravel() for t in material.textures.values()]
     if not (np.abs(np.concatenate(numbers)) <= _BRIGHTEST).all():
-        what = f"material {material.name!r} holds numbers that are not finite, or above"
+        what = (
+            f"material {material.name!r} holds numbers that are not finite, or above"
+        )
         raise InputError(f"{what} {_BRIGHTEST:g}", "export it again")
     mode = material.alpha_mode.upper()
     shares = {name: min(max(getattr(material, name), 0.0), 1.0) for name in _UNIT}

@@ -72,7 +72,9 @@ def _kind(path: Path, data: bytes) -> str:
         what = f"{path.suffix or 'no suffix'} is not a format that is read"
         raise InputError(what, "a GLB, glTF, OBJ, PLY, STL, OFF or DAE file")
     if kind == "dae" and (b"<!ENTITY" in data or b"\0" in data[:200]):
-        raise InputError("it defines XML entities, or is not UTF-8", "export it again")
+        raise InputError(
+            "it defines XML entities, or is not UTF-8", "export it again"
+        )
     if kind == "dae" and importlib.util.find_spec("collada") is None:
         what = "the package pycollada is not installed"
         raise InputError(what, "convert it to GLB or OBJ")

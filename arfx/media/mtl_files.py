@@ -81,7 +81,9 @@ class _Statements:
         self.stated.update((key.lower(), (key, value.strip())) for key, value in rows)
         base = self.stated["map_kd"][1]
         for key, (written, value) in self.stated.items():
-            unread = key.startswith(tuple(_MTL["other_maps"])) and key not in _MTL["maps"]
+            unread = (
+                key.startswith(tuple(_MTL["other_maps"])) and key not in _MTL["maps"]
+            )
             if unread and not (key == "map_ka" and value == base):
                 left_out[written] = None
 
@@ -132,7 +134,9 @@ def _options(value: str) -> tuple[dict[str, list[str]], str]:
         words = value.split(None, most + 1)[1:]
         count = 1
         if most > 1:
-            count = next((k for k in range(most) if not numbers(words[k : k + 1])), most)
+            count = next(
+                (k for k in range(most) if not numbers(words[k : k + 1])), most
+            )
         options[option] = words[:count]
         value = " ".join(value.split(None, count + 1)[count + 1 :])
     return options, value

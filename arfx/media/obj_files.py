@@ -81,7 +81,9 @@ def obj_meshes(file: ModelFile) -> Iterator[Placed]:
             yield triangles, own, np.eye(4), materials.get(name, plain)
 
 
-def _materials(file: ModelFile, lists: list[str], used: list[str]) -> dict[str, Material]:
+def _materials(
+    file: ModelFile, lists: list[str], used: list[str]
+) -> dict[str, Material]:
     """Those that are used and described."""
     stated: dict[str, list[str]] = {}
     lost = False

@@ -98,7 +98,9 @@ def plan_output(
         )
     if container not in codec.containers:
         hint = "one of " + ", ".join(CONTAINER_SUFFIX[c] for c in codec.containers)
-        raise ConfigError(f"{path}: a {path.suffix} file cannot hold {codec.name}", hint)
+        raise ConfigError(
+            f"{path}: a {path.suffix} file cannot hold {codec.name}", hint
+        )
     if info.fields and not codec.fields:
         hint = (
             "--codec h264 in another file than .webm, or first:"
@@ -265,7 +267,9 @@ def check_times(plan: OutputPlan, pts: Sequence[int], time_base: Fraction) -> No
             f"{plan.path}: a frame of the clip is shown for {days:.3g} days, longer than"
             f" {plan.path.suffix} files can say"
         )
-        raise ConfigError(message, "-o out.mkv, or only a part with --start and --end")
+        raise ConfigError(
+            message, "-o out.mkv, or only a part with --start and --end"
+        )
 
 
 def _pixel_format(
@@ -344,7 +348,9 @@ def _further_streams(
             )
         else:
             why = (
-                "a cover picture" if s.picture else f"{path.suffix} files cannot hold it"
+                "a cover picture"
+                if s.picture
+                else f"{path.suffix} files cannot hold it"
             )
             notices.append(f"stream {s} is left out: {why}")
     return tuple(kept)
@@ -355,14 +361,17 @@ def _plan_sequence(
 ) -> OutputPlan:
     if settings != OutputSettings(settings.codec):
         raise ConfigError(
-            f"{codec.name} images take no crf, preset or pixel format", "leave them out"
+            f"{codec.name} images take no crf, preset or pixel format",
+            "leave them out",
         )
     fmt = "rgb48be" if info.bit_depth > 8 else "rgb24"
     fmt = "gbrpf32le" if codec.name == "exr" else fmt
     notices = ["frame times are written to times.txt beside the images"]
     others = [str(s) for s in info.streams if not s.used]
     if others:
-        notices.append(f"images hold no further streams; left out: {', '.join(others)}")
+        notices.append(
+            f"images hold no further streams; left out: {', '.join(others)}"
+        )
     return OutputPlan(
         path, codec.name, "", fmt, (), info.matrix, True, notices=tuple(notices)
     )

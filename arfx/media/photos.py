@@ -107,7 +107,9 @@ def _origin(source: Path) -> tuple[bytes, bytes]:
                 exif[_ORIENTATION] = 1
             for tag in exif.keys() & _TIFF_STORAGE:
                 del exif[tag]
-            return picture.info.get("icc_profile") or b"", exif.tobytes() if exif else b""
+            return picture.info.get(
+                "icc_profile"
+            ) or b"", exif.tobytes() if exif else b""
     except Exception:  # whatever its header holds: the pixels were read
         return b"", b""
 

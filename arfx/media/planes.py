@@ -89,7 +89,9 @@ def working_layout(name: str) -> tuple[PixelLayout, str]:
     they are): that which loses least, as FFmpeg reckons it."""
     if layout := layout_named(name):
         return layout, ""
-    known = {f.name: f for n in video_formats if (f := layout_named(n)) and not f.alpha}
+    known = {
+        f.name: f for n in video_formats if (f := layout_named(n)) and not f.alpha
+    }
     plain = [n for n, f in known.items() if n == f.plain_name]
     best, _ = find_best_pix_fmt_of_list(plain, name)
     assert best is not None

@@ -62,7 +62,10 @@ class CameraPath:
         return [None if m is None else (self._between(m), m.near) for m in matches]
 
     def _between(self, m: Match) -> Pose:
-        first, second = self.camera_from_given[m.before], self.camera_from_given[m.after]
+        first, second = (
+            self.camera_from_given[m.before],
+            self.camera_from_given[m.after],
+        )
         if m.share in (0.0, 1.0):
             return second if m.share else first
         # the camera moves straight, not the world

@@ -24,8 +24,14 @@ from arfx.media.planes import FrameFormat
 
 _F, _I, _U = np.float32, np.int32, np.uint32
 MARGIN = 16  # values by which lines of chroma are longer than the picture's part
-CODED_LEAST, CODED_MOST = -1.5, 2.5  # beyond every sum that the matrices make of samples
-DARKEST, BRIGHTEST = -32, 8  # first and last octave of linear light that is told apart
+CODED_LEAST, CODED_MOST = (
+    -1.5,
+    2.5,
+)  # beyond every sum that the matrices make of samples
+DARKEST, BRIGHTEST = (
+    -32,
+    8,
+)  # first and last octave of linear light that is told apart
 
 Rows = tuple[tuple[np.float32, ...], ...]
 
@@ -89,7 +95,9 @@ def _chroma_line(s, plane, level, row, left, samples, out):
     up to the last of w = len(out) - MARGIN. samples : scratch"""
     (width, height), (sx, sy) = s.size, s.steps
     last = (height - 1) >> sy
-    place = min(max((_F(row) + s.middle[1]) / _F(1 << sy) - s.middle[1], _F(0)), _F(last))
+    place = min(
+        max((_F(row) + s.middle[1]) / _F(1 << sy) - s.middle[1], _F(0)), _F(last)
+    )
     r0 = _I(place)
     share = place - _F(r0)
     first = (left >> sx) - 1  # with one sample more at both ends
@@ -226,7 +234,9 @@ def _add_line(s, luma, row, left, coded, rect, scratch, sums):
     Beyond the line they are zero, beyond the picture its edge goes on."""
     (width, height), (sx, sy), (to_y, to_u, to_v) = s.size, s.steps, s.planes_from_rgb
     n, top, origin = luma.shape[0], rect[1] >> sy, rect[0] >> sx
-    start = (left & ((1 << sx) - 1)) + (1 << sx) - 1  # place of the first pixel in a line
+    start = (
+        (left & ((1 << sx) - 1)) + (1 << sx) - 1
+    )  # place of the first pixel in a line
     end = start + n
     y, u, v = scratch[0][:n], scratch[1][start:end], scratch[2][start:end]
     one, two, three = np.uintp(1), np.uintp(2), np.uintp(3)
@@ -291,7 +301,9 @@ def samples_of(f: FrameFormat) -> Samples:
     if layout.kind == "rgb":  # as green, blue, red
         from_rgb, chroma = np.eye(3)[[1, 2, 0]], luma
         to_rgb = from_rgb.T
-    elif layout.kind == "gray":  # three times the same plane: no difference of "chroma"
+    elif (
+        layout.kind == "gray"
+    ):  # three times the same plane: no difference of "chroma"
         from_rgb, to_rgb = from_rgb * [[1], [0], [0]], np.ones((3, 3)) * [1, 0, 0]
     steps, cosited = (layout.sub_x, layout.sub_y), f.cosited
     middle = [0 if left else 0.5 for left in cosited]

@@ -28,7 +28,9 @@ _FACES_OF = {
     "ply": rb"\belement\s+face\s+(\d+)",
     "off": rb"OFF\s+(?:#[^\n]*\s+)*\d+\s+(\d+)",
 }
-_PLY_UV = re.compile(r"(\nproperty\s.*\s)(texture_u|texture_v|texcoord|[uvst])\s*(?=\n)")
+_PLY_UV = re.compile(
+    r"(\nproperty\s.*\s)(texture_u|texture_v|texcoord|[uvst])\s*(?=\n)"
+)
 
 
 def trimesh_meshes(file: ModelFile) -> Iterator[Placed]:
@@ -58,7 +60,10 @@ def trimesh_meshes(file: ModelFile) -> Iterator[Placed]:
         if texture is not None:
             white = (1.0, 1.0, 1.0, 1.0)
             material = Material(
-                base_colour=white, base_texture=texture, roughness=1.0, double_sided=True
+                base_colour=white,
+                base_texture=texture,
+                roughness=1.0,
+                double_sided=True,
             )
         elif type(given).__name__ == "PBRMaterial":
             material = material_of(given)
@@ -109,13 +114,18 @@ def _stated_faces(data: bytes, kind: str) -> int:
     """As the file's beginning says; counted where it says nothing."""
     if kind == "stl":
         declared = int.from_bytes(data[80:84], "little")
-        return declared if len(data) >= 84 + 50 * declared else data.count(b"endfacet")
+        return (
+            declared if len(data) >= 84 + 50 * declared else data.count(b"endfacet")
+        )
     found = re.search(_FACES_OF[kind], data[:65536]) if kind in _FACES_OF else None
     return int(found[1][:18]) if found else 0
 
 
 def _mesh(mesh: Any) -> tuple[np.ndarray, Rows]:
-    rows, faces = {"vertices": np.asarray(mesh.vertices, float)}, np.asarray(mesh.faces)
+    rows, faces = (
+        {"vertices": np.asarray(mesh.vertices, float)},
+        np.asarray(mesh.faces),
+    )
     # trimesh would make normals up on access; only the file's own are wanted
     if "vertex_normals" in mesh._cache:
         rows["normals"] = np.array(mesh.vertex_normals, float)

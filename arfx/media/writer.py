@@ -133,7 +133,10 @@ class _Video:
             ctx.flags |= Flags.interlaced_dct | Flags.interlaced_me
             self._fields = graph = av.filter.Graph()
             source = graph.add_buffer(
-                width=s.width, height=s.height, format=s.pix_fmt, time_base=info.time_base
+                width=s.width,
+                height=s.height,
+                format=s.pix_fmt,
+                time_base=info.time_base,
             )
             field, sink = graph.add("setfield", info.fields), graph.add("buffersink")
             graph.link_nodes(source, field, sink).configure()

@@ -172,6 +172,10 @@ def _sparse(
         [[head, cross], [cross.T, diags_array((r * r).sum(1))]], format="csc"
     )
     largest = float(normal.trace())
-    values, vectors = eigsh(normal, 2, sigma=-1e-12 * largest, v0=np.ones(len(grey) + 2))
+    values, vectors = eigsh(
+        normal, 2, sigma=-1e-12 * largest, v0=np.ones(len(grey) + 2)
+    )
     order = np.argsort(values)
-    return vectors[:, order[0]], np.sqrt(np.maximum([largest, *values[order[::-1]]], 0))
+    return vectors[:, order[0]], np.sqrt(
+        np.maximum([largest, *values[order[::-1]]], 0)
+    )

@@ -64,7 +64,9 @@ class PrintedLightParams(LightParams):
         ge=2,
         le=5,
     )
-    map_blur_rad: float = setting(0.2, "s of the light map's update (8)", ge=0.01, le=3)
+    map_blur_rad: float = setting(
+        0.2, "s of the light map's update (8)", ge=0.01, le=3
+    )
     peak: Fraction = setting(
         0.8,
         "a light stands where the map is at least this share of its largest value"
@@ -119,7 +121,9 @@ def eq8_weight(cosine: np.ndarray, s: float) -> np.ndarray:
     """f(n) for n.n' = cosine: without the square of the angle, and with the condition
     cos(n.n') > 0, which always holds.
     """
-    return np.where(np.cos(cosine) > 0, np.exp(-arccos(cosine) * (1 / (2 * s * s))), 0.0)
+    return np.where(
+        np.cos(cosine) > 0, np.exp(-arccos(cosine) * (1 / (2 * s * s))), 0.0
+    )
 
 
 def squared_weight(cosine: np.ndarray, s: float) -> np.ndarray:
@@ -166,7 +170,9 @@ class LightMap:
 
     def __init__(self, level: int, s: float) -> None:
         self.s, self.middles, self.size = s, hemisphere(level), CUBE[level]
-        self.n = np.concatenate([self.middles, face_directions(self.size).reshape(-1, 3)])
+        self.n = np.concatenate(
+            [self.middles, face_directions(self.size).reshape(-1, 3)]
+        )
         self.M = np.zeros(self.n.shape)
 
     def add(self, n: np.ndarray, x: np.ndarray) -> None:
@@ -259,7 +265,9 @@ class PrintedStaticFrameLight(StaticFrameLight):
         rows = self.normals, self.reading.y, self.reading.variance
         seen = map(Observation, *(np.split(a, ends) for a in rows))
         solution, cubes, turn = lights_of([*seen], self.params)
-        last = np.clip(np.searchsorted(self.lit, self.frames, side="right") - 1, 0, None)
+        last = np.clip(
+            np.searchsorted(self.lit, self.frames, side="right") - 1, 0, None
+        )
         lights = {}
         for k, i in zip(self.frames, last, strict=True):
             lights[k] = solution[i]
@@ -307,10 +315,14 @@ class PrintedLight:
                 rho = brightness(grey)
             return gain_and_bias(grey, rho, clipped, params.printed_bias), None
 
-        clip = with_light(clip, readings, samples, params, panorama, solve, printed_part)
+        clip = with_light(
+            clip, readings, samples, params, panorama, solve, printed_part
+        )
         unused = ", ".join(params.without_effect)
         notice = (
-            f'light: {unused} without effect under formula = "paper"' if unused else None
+            f'light: {unused} without effect under formula = "paper"'
+            if unused
+            else None
         )
         facts = (f.with_(light_map=maps.get(k)) for k, f in enumerate(clip.facts))
         return clip.adding(facts, notice)

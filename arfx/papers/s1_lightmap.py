@@ -43,8 +43,14 @@ def printed_map(light_map_: CubeMap | None) -> tuple[np.ndarray, np.ndarray] | N
     if light_map_ is None:
         return None
     cube = light_map_.faces().astype(np.float32)
-    axes = np.reshape(np.eye(3) if light_map_.axes is None else light_map_.axes, (3, 3))
-    if cube.shape[1] < 2 or not np.isfinite(cube).all() or not np.isfinite(axes).all():
+    axes = np.reshape(
+        np.eye(3) if light_map_.axes is None else light_map_.axes, (3, 3)
+    )
+    if (
+        cube.shape[1] < 2
+        or not np.isfinite(cube).all()
+        or not np.isfinite(axes).all()
+    ):
         raise RenderError(
             "facts: the light map needs faces of finite numbers, 2 x 2 or more"
         )

@@ -68,7 +68,10 @@ class PrintedDofParams(DofParams):
         0.0, "farthest clip plane; 0 = the farthest thing in the frame", ge=0, le=1e6
     )
     coc_mm: float = setting(
-        0.035, "diameter of the largest blur circle that passes as sharp", gt=0, le=1e3
+        0.035,
+        "diameter of the largest blur circle that passes as sharp",
+        gt=0,
+        le=1e3,
     )
     border: Fraction = setting(
         0.5,
@@ -91,7 +94,9 @@ class PrintedDofParams(DofParams):
 def eq7_circle(dioptre: np.ndarray | float, at: CircleOfConfusion) -> np.ndarray:
     """Diameter of the blur circle, mm, of what is at 1 / dioptre metres: C = F^2 |L - U| / ((U -
     F) N L)."""
-    return at.px_per_dioptre * at.coc_mm_per_px * np.abs(at.focus - np.asarray(dioptre))
+    return (
+        at.px_per_dioptre * at.coc_mm_per_px * np.abs(at.focus - np.asarray(dioptre))
+    )
 
 
 def blur_factor(
@@ -113,7 +118,9 @@ def sharp_range(at: CircleOfConfusion, F: float, C: float) -> tuple[float, float
     return at.focus - reach, at.focus + reach
 
 
-def dioptres(now: Layers, facts: FrameFacts, real: Real, grid: np.ndarray) -> np.ndarray:
+def dioptres(
+    now: Layers, facts: FrameFacts, real: Real, grid: np.ndarray
+) -> np.ndarray:
     """(h, w) 1/m of the composite: the object's where it covers half a pixel or more, else the
     real scene's."""
     rect = now.rect
@@ -136,7 +143,9 @@ def mean_filter(
     """(h, w, 3): mean of each pixel's surroundings without what stands in front of it.
     weights : (n,) float32 of a row and of a column, n odd; equal ones = the mean"""
     weights = (weights / weights.sum()).astype(np.float32)
-    out = cv2.sepFilter2D(colour, -1, weights, weights, borderType=cv2.BORDER_REPLICATE)
+    out = cv2.sepFilter2D(
+        colour, -1, weights, weights, borderType=cv2.BORDER_REPLICATE
+    )
     nearest = cv2.dilate(dioptre, np.ones((len(weights), len(weights)), np.uint8))
     front = nearest > dioptre * _NEARER
     parallel_rows(
@@ -235,7 +244,8 @@ def _blended(
 def _by_rows(work: Callable[..., np.ndarray], *arrays: np.ndarray) -> np.ndarray:
     """work(arrays), a band of rows on each thread."""
     done = parallel_rows(
-        lambda top, bottom: work(*(array[top:bottom] for array in arrays)), len(arrays[0])
+        lambda top, bottom: work(*(array[top:bottom] for array in arrays)),
+        len(arrays[0]),
     )
     return np.concatenate(done).astype(np.float32, copy=False)
 
@@ -273,7 +283,9 @@ class PrintedDof(Dof):
         dioptre, a = self.depth_and_blur(now, facts, view.scene, prepared)
         coded = _by_rows(SRGB.encode, image)
         return {
-            Layer.IMAGE: _by_rows(_blended, a, self.blurred(coded, dioptre), coded, image)
+            Layer.IMAGE: _by_rows(
+                _blended, a, self.blurred(coded, dioptre), coded, image
+            )
         }
 
     def depth_and_blur(
@@ -285,7 +297,11 @@ class PrintedDof(Dof):
         dioptre = dioptres(now, facts, real, grid)
         sharp = sharp_range(at, focal_mm(p, facts, scene), p.coc_mm)
         a = blur_factor(dioptre, self._clip_planes(facts, real, grid), at)
-        a = a * within_depth_of_field(dioptre, sharp, p.border) * min(facts.opacity, 1.0)
+        a = (
+            a
+            * within_depth_of_field(dioptre, sharp, p.border)
+            * min(facts.opacity, 1.0)
+        )
         return dioptre, a * (now[Layer.COVERAGE] > 0) if p.scope == "virtual" else a
 
     def _clip_planes(
@@ -298,7 +314,10 @@ class PrintedDof(Dof):
             low = min(low, 1 / far)
             high = max(high, 1 / near)
         p = self.params
-        return 1 / p.far_m if p.far_m > 0 else low, 1 / p.near_m if p.near_m > 0 else high
+        return (
+            1 / p.far_m if p.far_m > 0 else low,
+            1 / p.near_m if p.near_m > 0 else high,
+        )
 
 
 class GaussianDofParams(PrintedDofParams):

@@ -104,11 +104,15 @@ def cones(sites: Sites, size: np.ndarray, rect: Rect, m: int, n: int) -> np.ndar
     as wide as its size, (m n,), its depth is 1. Of m x n sites in a jittered grid."""
     # no pixel is farther from the site of its own cell of the grid than that cell's diagonal: no
     # cone need be longer
-    length = (np.hypot(rect.width / n, rect.height / m) + 1 / STEPS) / float(size.min())
+    length = (np.hypot(rect.width / n, rect.height / m) + 1 / STEPS) / float(
+        size.min()
+    )
     labels = np.zeros((rect.height, rect.width), np.int32)
     x = (sites.x / STEPS - rect.x0).astype(float)
     y = (sites.y / STEPS - rect.y0).astype(float)
-    _draw_cones(x, y, size.astype(float), length, np.full(labels.shape, np.inf), labels)
+    _draw_cones(
+        x, y, size.astype(float), length, np.full(labels.shape, np.inf), labels
+    )
     return labels
 
 

@@ -130,7 +130,9 @@ def _cone_trace(
                 if alpha <= 0:
                     continue
                 left = (one - min(alpha, one)) ** exponent
-                weight = transmittance * (one - left) / alpha if scaled else transmittance
+                weight = (
+                    transmittance * (one - left) / alpha if scaled else transmittance
+                )
                 for channel in range(3):
                     out[i, c, channel] += weight * seen[channel]
                 transmittance *= left

@@ -93,5 +93,7 @@ def step4_environment(
         for c in range(3):
             channel = mipmap[k][..., c]
             places = (face, row, column)
-            out[:, c] += share / FULL * map_coordinates(channel, places, float, order=1)
+            out[:, c] += (
+                share / FULL * map_coordinates(channel, places, float, order=1)
+            )
     return out

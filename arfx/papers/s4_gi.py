@@ -55,9 +55,7 @@ from arfx.stages.gi.reference_scene import RayScene
 from arfx.stages.light.split_sum import COSINES, ROUGHNESSES, split_sum
 from arfx.stages.viewing import direction_grid, seen_rect, viewing
 
-LIFT = (
-    0.02  # of the distance: measured depth that is off by more does not lie on the plane
-)
+LIFT = 0.02  # of the distance: measured depth that is off by more does not lie on the plane
 BAND_PX = 32  # rows at once: bounds memory
 LOBES = 12  # widths of mirror cones, from those of roughness 0 to 1
 
@@ -121,7 +119,9 @@ class PrintedGi(Stage):
         mesh = self._mesh_rect(facts, scene, frame)
         if model.empty and mesh.empty:
             return Demand(EMPTY, "model and planes out of view")
-        return Demand(model.union(mesh), "model and the real planes' mesh, as printed")
+        return Demand(
+            model.union(mesh), "model and the real planes' mesh, as printed"
+        )
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
         return scene.camera.rect  # all of the picture is in the environment
@@ -137,7 +137,9 @@ class PrintedGi(Stage):
         grid = direction_grid(scene.camera)
         return PrintedPrepared(RayScene(real), RayScene(scene), volumes, grid)
 
-    def run(self, view: View, prepared: PrintedPrepared) -> Mapping[Layer, np.ndarray]:
+    def run(
+        self, view: View, prepared: PrintedPrepared
+    ) -> Mapping[Layer, np.ndarray]:
         lamps = lamps_of(view.light)
         real, virtual, volumes, _ = prepared
         turn = view.scene.world_from_anchor.rotation
@@ -166,9 +168,12 @@ class PrintedGi(Stage):
         )
         rows, surfels = virtual_surfels(view, wanted.clip(view.facts.raster_box))
         coverage, rho, material = (
-            view[name][rows] for name in (Layer.COVERAGE, Layer.ALBEDO, Layer.MATERIAL)
+            view[name][rows]
+            for name in (Layer.COVERAGE, Layer.ALBEDO, Layer.MATERIAL)
         )
-        light = self.step4_virtual(volumes, radiance.V_mu, around, surfels, rho, material)
+        light = self.step4_virtual(
+            volumes, radiance.V_mu, around, surfels, rho, material
+        )
         objects[rows] += coverage[:, None] * light
         return {Layer.VIRTUAL: objects, Layer.SHADOW: np.maximum(shadow, 0)}
 
@@ -235,7 +240,9 @@ def real_surfels(
         for name in (Layer.COVERAGE, Layer.REAL_DEPTH)
     )
     with np.errstate(invalid="ignore"):
-        off = np.isfinite(depth) & (np.abs(depth - met.distance) > LIFT * met.distance)
+        off = np.isfinite(depth) & (
+            np.abs(depth - met.distance) > LIFT * met.distance
+        )
     pixel = np.flatnonzero(np.isfinite(met.distance) & (covered < 1) & ~off)
     surface = prepared.real.surface(met.of(pixel), eyes[pixel], seen[pixel])
     front = (surface.normal * seen[pixel]).sum(-1) < 0
@@ -263,7 +270,9 @@ def wide_cones(
     around, and of what is around behind them."""
     six, weights, tan_half = six_cones()
     d = around_normals(at.normal.astype(np.float32), six)
-    return np.asarray(weights @ gathered(volumes, V, at.position, d, tan_half, around))
+    return np.asarray(
+        weights @ gathered(volumes, V, at.position, d, tan_half, around)
+    )
 
 
 def mirror_cones(
@@ -303,7 +312,9 @@ def gathered(
     return out
 
 
-def fresnel(roughness: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def fresnel(
+    roughness: np.ndarray, cosine: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """(a, b), (m, 1) each: F0 a + b of the mirrored light is reflected. roughness, cosine of view
     (m,)"""
     row = np.rint(np.clip(roughness, 0, 1) * (ROUGHNESSES - 1)).astype(int)

@@ -47,7 +47,9 @@ def texel_rays(volume: Volume, direction: np.ndarray) -> np.ndarray:
     v = np.cross(direction, u)
     a = ((np.arange(side) + 0.5) / side * 2 - 1)[:, None] * half
     middle = (
-        np.asarray(volume.low_m) + volume.n * volume.voxel_m / 2 + 2 * half * direction
+        np.asarray(volume.low_m)
+        + volume.n * volume.voxel_m / 2
+        + 2 * half * direction
     )
     return (middle + (a[:, None] * v + a * u)).reshape(-1, 3)
 
@@ -77,7 +79,9 @@ def shadow_maps(
 ) -> tuple[ShadowMap, ShadowMap, np.ndarray]:
     """(R_rho, R_mu, shows (k,): texels of R_mu in which the object does)."""
     origins = texel_rays(volume, direction)
-    R_rho, alone = (shadow_map(rays, origins, direction, rgb) for rays in (real, virtual))
+    R_rho, alone = (
+        shadow_map(rays, origins, direction, rgb) for rays in (real, virtual)
+    )
     shows = alone.distance < R_rho.distance
     pairs = zip(alone, R_rho, strict=True)
     R_mu = ShadowMap(*(np.where(shows, a.T, b.T).T for a, b in pairs))

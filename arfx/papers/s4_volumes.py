@@ -168,5 +168,7 @@ def node_below(tree: Octree, node, bits, x, y, z):  # pragma: no cover - compile
         mask = int(tree.mask[node])
         if not mask >> child & 1:
             return -1
-        node = tree.first[node] + _BITS[mask & ((1 << child) - 1)]  # those in front of it
+        node = (
+            tree.first[node] + _BITS[mask & ((1 << child) - 1)]
+        )  # those in front of it
     return node

@@ -76,7 +76,9 @@ def voxelise(volume: Volume, *scenes: Scene) -> Voxels:
 
 
 @kernel()
-def add_pieces(corners, normals, cuts, area, alpha, sums):  # pragma: no cover - compiled
+def add_pieces(
+    corners, normals, cuts, area, alpha, sums
+):  # pragma: no cover - compiled
     """sums (n, n, n, 5), z first, += area of each piece of triangles (f, 3, 3), voxels, and the
     area times its normal and its opacity alpha."""
     n = sums.shape[0]

@@ -109,7 +109,8 @@ def plan_clip(
         return ClipPlan(plans, by_quality(options, usual), shots)
     by_shot = {
         shot: {
-            name: choice.levels.get((shot, name), level) for name, level in usual.items()
+            name: choice.levels.get((shot, name), level)
+            for name, level in usual.items()
         }
         for shot in shots
     }
@@ -146,5 +147,7 @@ def _options(
             costs.append(None if prepare is None else prepare.times(1 / shots[name]))
             cost = sum_correlated(_NO_PRICE if c is None else c for c in costs)
             error = errors.of(name, level, levels[name][-1])
-            out.setdefault((shot, name), []).append(Option(level, cost, error, len(runs)))
+            out.setdefault((shot, name), []).append(
+                Option(level, cost, error, len(runs))
+            )
     return out

@@ -66,7 +66,9 @@ def _read(text: str) -> Errors:
     for stage, levels in document["errors"].items():
         for level, value in levels.items():
             if value is not None:
-                found.setdefault(stage, {})[level] = _upper_end(value, f"{stage} {level}")
+                found.setdefault(stage, {})[level] = _upper_end(
+                    value, f"{stage} {level}"
+                )
     return Errors(found, str(document["source"]))
 
 

@@ -93,7 +93,9 @@ def best_within_budget(
     state, upper = after(count), upper_s(count)
     if upper <= budget_s:
         return _choice(
-            state, True, f"{upper:.1f} s at most, nine times in ten, of {budget_s:.1f} s"
+            state,
+            True,
+            f"{upper:.1f} s at most, nine times in ten, of {budget_s:.1f} s",
         )
     return _choice(
         state,
@@ -125,7 +127,9 @@ def cheapest_within_error(
             blocked.add(key)
     error = _worst(state)
     return _choice(
-        state, error <= limit, f"errors add up to {error:.2f} of {limit:.2f} grey levels"
+        state,
+        error <= limit,
+        f"errors add up to {error:.2f} of {limit:.2f} grey levels",
     )
 
 
@@ -202,5 +206,9 @@ def sum_correlated(parts: Iterable[Prediction]) -> Prediction:
 
 def _choice(state: Mapping[ShotStage, Option], met: bool, why: str) -> LevelChoice:
     return LevelChoice(
-        {key: o.level for key, o in state.items()}, total(state), _worst(state), met, why
+        {key: o.level for key, o in state.items()},
+        total(state),
+        _worst(state),
+        met,
+        why,
     )

@@ -47,11 +47,15 @@ def plan_frame(
             continue
         level = levels[stage.name]
         need = stage.needs(out, facts, scene, level).union(out).clip(frame)
-        cost = prices.predict(f"{stage.name}/{level}", terms_of(need, facts, scene, new))
+        cost = prices.predict(
+            f"{stage.name}/{level}", terms_of(need, facts, scene, new)
+        )
         seconds, between = None, None
         if cost is not None:
             seconds, between = cost.seconds, (cost.low_s, cost.high_s)
-        steps.append(Step(stage.name, level, out, need, demand.reason, seconds, between))
+        steps.append(
+            Step(stage.name, level, out, need, demand.reason, seconds, between)
+        )
         read, changed = read.union(need), changed.union(out)
     return FramePlan(facts.index, read, changed, tuple(steps), tuple(skipped))
 
@@ -79,7 +83,9 @@ def terms_of(
 
     new : of `new_terms`, those of the frame
     """
-    lamps = float(sum(any(c > 0 for c in li.rgb) for li in scene.light_of(facts).lights))
+    lamps = float(
+        sum(any(c > 0 for c in li.rgb) for li in scene.light_of(facts).lights)
+    )
     object_mpx = facts.model_box.clip(need).area / 1e6 if facts.visible else 0.0
     return {
         "frames": 1.0,

@@ -120,4 +120,7 @@ def captioned(shown: Figure) -> Iterator[tuple[np.ndarray, str]]:
             f" {apart.max():.0f} at most"
         )
         yield picture, words
-        yield error_map(other, picture), f"{name} less {against}, × {TIMES} about grey"
+        yield (
+            error_map(other, picture),
+            f"{name} less {against}, × {TIMES} about grey",
+        )

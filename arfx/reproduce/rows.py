@@ -54,10 +54,14 @@ class Row:
 
     def __post_init__(self) -> None:
         if self.verdict != HOLDS and not self.reason.strip():
-            raise ValueError(f"{self.item}: the verdict {self.verdict!r} has no reason")
+            raise ValueError(
+                f"{self.item}: the verdict {self.verdict!r} has no reason"
+            )
         for value in (self.printed, self.paper_formula, self.corrected):
             if isinstance(value, float) and not math.isfinite(value):
-                raise ValueError(f"{self.item}: {value} is not finite; say it in words")
+                raise ValueError(
+                    f"{self.item}: {value} is not finite; say it in words"
+                )
 
 
 def half_digit(printed: str) -> float:

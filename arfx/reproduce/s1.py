@@ -61,11 +61,16 @@ def rows(work: Work) -> Items:
     shading = "shading without shadow"
     stands = "; the teapot stands on the card"
     shadow = "the shadow of one situation"
-    yield from pictures(first, NO_SHADOW, {"figure 2 (a)": (shading, shading + stands)})
+    yield from pictures(
+        first, NO_SHADOW, {"figure 2 (a)": (shading, shading + stands)}
+    )
     yield from pictures(
         first,
         DEFAULTS,
-        {"figure 2 (b)": (what, what + stands), "figure 3 (a)": (shadow, first.words)},
+        {
+            "figure 2 (b)": (what, what + stands),
+            "figure 3 (a)": (shadow, first.words),
+        },
     )
     yield from pictures(second, DEFAULTS, {"figure 3 (b)": (shadow, second.words)})
     yield from table_1(work)
@@ -108,7 +113,8 @@ def equation_3(situation: Situation) -> Items:
         shot = situation.shot(formula, settings)
         on = shot.layer(Layer.COVERAGE) > 0.999
         n, rho, virtual = (
-            shot.layer(name)[on] for name in (Layer.NORMAL, Layer.ALBEDO, Layer.VIRTUAL)
+            shot.layer(name)[on]
+            for name in (Layer.NORMAL, Layer.ALBEDO, Layer.VIRTUAL)
         )
         M = shot.light.radiance(n)
         if (found := printed_map(shot.facts.light_map)) is not None:
@@ -161,7 +167,9 @@ def figure_1(situation: Situation) -> Items:
     found = printed_map(printed.facts.light_map)
     assert found is not None
     cube, map_from_world = found
-    seen = {name: own.radiance(middles @ map_from_world) for name, own in light.items()}
+    seen = {
+        name: own.radiance(middles @ map_from_world) for name, own in light.items()
+    }
     seen[PRINTED] = look_up(cube, middles)
     yield Figure(
         item,
@@ -176,7 +184,9 @@ def figure_1(situation: Situation) -> Items:
     )
 
 
-def drawn_hemisphere(level: int, M: np.ndarray, lights: list[np.ndarray]) -> np.ndarray:
+def drawn_hemisphere(
+    level: int, M: np.ndarray, lights: list[np.ndarray]
+) -> np.ndarray:
     """(side, side, 3) R'G'B': the triangles from above, as bright as M (k, 3); those
     nearest to `lights` (3,) bordered red.
     """
@@ -189,7 +199,9 @@ def drawn_hemisphere(level: int, M: np.ndarray, lights: list[np.ndarray]) -> np.
     points = np.round((1 + 0.97 * corners) / 2 * HEMISPHERE_PX * 16).astype(np.int32)
     picture = np.full((HEMISPHERE_PX, HEMISPHERE_PX, 3), 255, np.uint8)
 
-    def border(triangle: np.ndarray, colour: tuple[int, int, int], width: int) -> None:
+    def border(
+        triangle: np.ndarray, colour: tuple[int, int, int], width: int
+    ) -> None:
         cv2.polylines(picture, [triangle], True, colour, width, cv2.LINE_AA, 4)
 
     grey = np.clip(divide(M, M.max()), 0, 1) * 255
@@ -235,7 +247,11 @@ def pictures(
 def table_1(work: Work) -> Items:
     size_px, frames = work.scaled(((640, 480), 20), ((128, 96), 4))
     clip = work.clip(turned_card(SITUATIONS[0], size_px, frames, samples=1))
-    rates: dict[str, list[Any]] = {"printed": [], "printed method": [], "corrected": []}
+    rates: dict[str, list[Any]] = {
+        "printed": [],
+        "printed method": [],
+        "corrected": [],
+    }
     memory: dict[str, list[Any]] = {name: [] for name in rates}
     for name, (faces, (low, high), size_mb) in TABLE_1.items():
         count = load_model(work.model(name)).face_count
@@ -278,5 +294,7 @@ def table_1(work: Work) -> Items:
     )
     labels = [f"{name}, {faces:,} faces" for name, (faces, *_) in TABLE_1.items()]
     item = "table 1, apple"
-    yield Bars(f"{item}, frame rate", "frame rate", "frames per second", labels, rates)
+    yield Bars(
+        f"{item}, frame rate", "frame rate", "frames per second", labels, rates
+    )
     yield Bars(f"{item}, memory", "memory", "MB", labels, memory)

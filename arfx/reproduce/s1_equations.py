@@ -255,7 +255,9 @@ def equation_7() -> Items:
         at = (printed.n @ UP).argmax()
         for x in values:
             printed.add(UP, np.full(3, x))
-            variance += (DRIFT_PER_S * corrected) ** 2 / 30  # what it may have changed by
+            variance += (
+                DRIFT_PER_S * corrected
+            ) ** 2 / 30  # what it may have changed by
             gain = 1 - NOISE**2 / (NOISE**2 + variance)
             corrected = corrected + gain * (x - corrected)
             variance = gain * NOISE**2
@@ -312,7 +314,9 @@ def equation_8() -> Items:
         " Corrected: n·n' > 0",
     )
     angles_deg = np.linspace(0, 40, 161)
-    printed, corrected = (weight(np.cos(np.radians(angles_deg))) for weight in WEIGHTS)
+    printed, corrected = (
+        weight(np.cos(np.radians(angles_deg))) for weight in WEIGHTS
+    )
     yield curves(
         "equation (8), weight at 10 degrees",
         "weight of a reading over the angle to its normal",
@@ -408,7 +412,9 @@ def equation_9(seeds: int) -> Items:
     )
 
 
-def reading(n: np.ndarray, x: np.ndarray | float, variance: float = 1e-6) -> Observation:
+def reading(
+    n: np.ndarray, x: np.ndarray | float, variance: float = 1e-6
+) -> Observation:
     normals = np.atleast_2d(n)
     return Observation(
         normals, np.full(normals.shape, x), np.full(normals.shape, variance)

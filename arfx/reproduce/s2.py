@@ -131,7 +131,11 @@ def _limits() -> Items:
         "equation (5), beyond the hyperfocal distance",
         "NCL²/(F² - NCL)",
         [
-            "not defined" if mm is None else "infinite" if math.isinf(mm) else f"{mm:g}"
+            "not defined"
+            if mm is None
+            else "infinite"
+            if math.isinf(mm)
+            else f"{mm:g}"
             for mm in (
                 printed_limits(beyond, C).back_mm,
                 depth_of_field(beyond, C).back_mm,

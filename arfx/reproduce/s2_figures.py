@@ -25,13 +25,18 @@ from arfx.stages import STAGES
 from arfx.synth.description import DepthInput
 
 GAUSSIAN = "Gaussian filter of figure 12"
-BRIGHTER = 8  # grey levels above the wall, from which a pixel belongs to a bright point
+BRIGHTER = (
+    8  # grey levels above the wall, from which a pixel belongs to a bright point
+)
 OPEN_LENS = "the tracer's own open lens"
 NO_CAMERA = (
     "a photograph by the authors' camera; in its place stands one by an open lens, in which"
     " both balls are real"
 )
-BALLS_M = {"real": ((-0.13, 0.08, 0.04), 0.04), "virtual": ((0.0, 0.0, BALL_M), BALL_M)}
+BALLS_M = {
+    "real": ((-0.13, 0.08, 0.04), 0.04),
+    "virtual": ((0.0, 0.0, BALL_M), BALL_M),
+}
 Pictures = dict[str, np.ndarray]
 
 
@@ -46,7 +51,9 @@ def rows(work: Work) -> Items:
     yield row(item, words, (OPEN_LENS, OPEN_LENS), "", NO_CAMERA)
     title = "bright points spread over what is dark around them"
     yield Figure(item, title, {REFERENCE: made[REFERENCE]})
-    yield from _coordinates(shot, made[BEFORE], np.array(scene.shot[0].path.position_m))
+    yield from _coordinates(
+        shot, made[BEFORE], np.array(scene.shot[0].path.position_m)
+    )
     yield from _steps(shot, made)
     points_m = np.array([ball.position_m for ball in scene.sphere[1:]])
     yield from _points(shot, made, points_m)
@@ -70,7 +77,9 @@ def _rendered(shot: Shot) -> Pictures:
 
 
 def _diagrams() -> Items:
-    order = ", ".join(name for name in STAGES if name in ("raster", "composite", "dof"))
+    order = ", ".join(
+        name for name in STAGES if name in ("raster", "composite", "dof")
+    )
     yield row(
         "figure 1",
         "capture, virtual scene, interaction, communication, display",
@@ -237,7 +246,9 @@ def _in_focus(shot: Shot, before: np.ndarray) -> Items:
         "some pixels changed",
         not any(changed),
     )
-    yield Figure("figure 14", "a real and a virtual (blue) ball, all in focus", closed)
+    yield Figure(
+        "figure 14", "a real and a virtual (blue) ball, all in focus", closed
+    )
 
 
 def _out_of_focus(shot: Shot, made: Pictures) -> Items:
@@ -262,7 +273,9 @@ def _out_of_focus(shot: Shot, made: Pictures) -> Items:
     )
     y, x = np.array(made[BEFORE].shape[:2])[:, None] * [[0.4, 0.85], [0.1, 0.7]]
     part = tuple(slice(*of.astype(int)) for of in (y, x))
-    near = {name: np.ascontiguousarray(picture[part]) for name, picture in made.items()}
+    near = {
+        name: np.ascontiguousarray(picture[part]) for name, picture in made.items()
+    }
     yield Figure(
         "figure 15",
         "the same out of focus (the virtual ball has a faint sheen, which the real one"
@@ -270,7 +283,9 @@ def _out_of_focus(shot: Shot, made: Pictures) -> Items:
         near,
     )
     yield row("figure 16", "a photograph", (OPEN_LENS, OPEN_LENS), "", NO_CAMERA)
-    yield Figure("figure 16", "the same by an open lens", {REFERENCE: near[REFERENCE]})
+    yield Figure(
+        "figure 16", "the same by an open lens", {REFERENCE: near[REFERENCE]}
+    )
 
 
 def _levels(a: np.ndarray, b: np.ndarray) -> float:
@@ -299,6 +314,8 @@ def _steepest(picture: np.ndarray, centre: np.ndarray, radius: float) -> float:
     reach = max(round(0.35 * radius), 2)
     found = []
     for edge in (round(x - radius), round(x + radius)):
-        part = picture[y - reach : y + 1, edge - reach : edge + reach + 1].astype(float)
+        part = picture[y - reach : y + 1, edge - reach : edge + reach + 1].astype(
+            float
+        )
         found.append(np.abs(np.diff(part, axis=1)).max((1, 2)))
     return float(np.mean(found))

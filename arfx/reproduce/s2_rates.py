@@ -71,7 +71,9 @@ def rows(work: Work) -> Items:
     ]
     series = {"printed": [48.0, 21.0, 14.0]}
     pairs = zip(virtual, augmented, augmented, strict=True)
-    series |= dict(zip(("printed method", "corrected"), map(list, pairs), strict=True))
+    series |= dict(
+        zip(("printed method", "corrected"), map(list, pairs), strict=True)
+    )
     yield Bars(
         "section 4, all-virtual scene",
         f"rates at {size.format(' x ')}",

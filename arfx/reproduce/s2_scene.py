@@ -116,7 +116,13 @@ def scene_of(
 ) -> SceneFile:
     """parts : of SCENE;  full_px : its size, but in the short form"""
     width, height = work.scaled(full_px, (240, 192))
-    given = {"lens": "", "ball": "", "width": width, "height": height, "samples": samples}
+    given = {
+        "lens": "",
+        "ball": "",
+        "width": width,
+        "height": height,
+        "samples": samples,
+    }
     return parse_scene(SCENE.format(**given | parts))
 
 
@@ -164,7 +170,12 @@ def moving_desk(work: Work) -> SceneFile:
     """The same filmed by a moving camera, at the paper's resolution, as coded video and
     without depth.
     """
-    moving = {"path": DOLLY, "frames": work.scaled(8, 4), "file": "clip.mp4", "depth": ""}
+    moving = {
+        "path": DOLLY,
+        "frames": work.scaled(8, 4),
+        "file": "clip.mp4",
+        "depth": "",
+    }
     return scene_of(work, (1280, 1024), 1, **moving)
 
 

@@ -69,7 +69,9 @@ def frame_rows(frame: Shown) -> Items:
         seen == list(OBJECTS),
     )
     yield Figure(
-        item, "what both methods are given", {"camera": frame.real, BEFORE: frame.image}
+        item,
+        "what both methods are given",
+        {"camera": frame.real, BEFORE: frame.image},
     )
 
 
@@ -86,7 +88,9 @@ def cell_rows(frame: Shown) -> Items:
     both = ((sites, labels), (ours, own))
 
     yield _not_stated(
-        "m and n", "settings; 0 = cells of cell_px", "cell_px, for cells of any density"
+        "m and n",
+        "settings; 0 = cells of cell_px",
+        "cell_px, for cells of any density",
     )
     yield row(
         "equation (1), a site in each of m × n rectangles",
@@ -216,7 +220,9 @@ def toon_rows(frame: Shown) -> Items:
     p = printed().params
     c = corrected().params
     cosine = np.linspace(-1, 1, 20001)
-    normal = np.stack([np.sqrt(1 - cosine**2), 0 * cosine, cosine], -1).astype(np.float32)
+    normal = np.stack([np.sqrt(1 - cosine**2), 0 * cosine, cosine], -1).astype(
+        np.float32
+    )
     one = np.ones((len(cosine), 1), np.float32)
     up = np.array([0, 0, 1.0])
     kinds = (
@@ -266,7 +272,11 @@ def toon_rows(frame: Shown) -> Items:
 def edge_rows(frame: Shown, work: Work) -> Items:
     """3.2: (2) to (4)."""
     for k, (equation, beta) in enumerate(
-        (("equation (2)", 1.0), ("equation (3)", 0.0), ("equation (4), left side", 0.5))
+        (
+            ("equation (2)", 1.0),
+            ("equation (3)", 0.0),
+            ("equation (4), left side", 0.5),
+        )
     ):
         for step, (left, right, *values) in STEP_VALUES.items():
             found = measure.edge_of(left, right, beta)
@@ -279,7 +289,9 @@ def edge_rows(frame: Shown, work: Work) -> Items:
     yield _not_stated("equation (2), alpha", p.alpha, ALPHA)
     yield _not_stated("equation (4), beta", p.beta, BETA)
     yield _not_stated(
-        "equation (4), threshold", p.line_threshold, f"{c.line_low:g} to {c.line_high:g}"
+        "equation (4), threshold",
+        p.line_threshold,
+        f"{c.line_low:g} to {c.line_high:g}",
     )
     yield row(
         "equation (4), pixels of an edge that flip",
@@ -299,7 +311,9 @@ def edge_rows(frame: Shown, work: Work) -> Items:
         " object's layers are looked at too"
     )
     objects = frame.objects().items()
-    outlines = {f"outline of the {name}": measure.outline(own) for name, own in objects}
+    outlines = {
+        f"outline of the {name}": measure.outline(own) for name, own in objects
+    }
     outlines["outlines of real things"] = frame.real_outlines()
     strong = edges, lines > DRAWN
     for name, where in outlines.items():
@@ -341,7 +355,12 @@ def picture_rows(frame: Shown) -> Items:
     yield Figure(
         item,
         "the printed steps",
-        {"frame": coded, "cells": cells, "edges": 1.0 - edges, "cells and edges": done},
+        {
+            "frame": coded,
+            "cells": cells,
+            "edges": 1.0 - edges,
+            "cells and edges": done,
+        },
     )
 
     ours = frame.painted(frame.ready(corrected()))
@@ -408,7 +427,10 @@ def time_rows(frame: Shown, work: Work) -> Items:
 
 
 def _not_stated(
-    item: str, here: float | str, ours: float | str, why: str = "the paper does not say"
+    item: str,
+    here: float | str,
+    ours: float | str,
+    why: str = "the paper does not say",
 ) -> Row:
     return row(item, "not stated", (here, ours), "", f"{why}: it is a setting")
 

@@ -27,7 +27,13 @@ from arfx.stages.watercolor.cells import mean_colours
 from arfx.stages.watercolor.field import frame_field, nearness_factor
 from arfx.stages.watercolor.labels import label
 from arfx.stages.watercolor.lines import measure_edges, trace_lines
-from arfx.stages.watercolor.sites import GRID_PX, STEPS, Sites, make_sites, still_field
+from arfx.stages.watercolor.sites import (
+    GRID_PX,
+    STEPS,
+    Sites,
+    make_sites,
+    still_field,
+)
 
 Settings = Mapping[str, Any]  # of the section watercolor
 NOISE = 2 / 255
@@ -98,7 +104,8 @@ def still_frames(
     moments = [shown.noisy(100 + k, NOISE) for k in range(frames)]
     both = printed(**of_printed), corrected(**of_corrected)
     return [
-        [moment.painted(ready) for moment in moments] for ready in map(shown.ready, both)
+        [moment.painted(ready) for moment in moments]
+        for ready in map(shown.ready, both)
     ]
 
 
@@ -119,7 +126,9 @@ def pan_errors(
     height = rect.height
     width = rect.width
     wide = height, width + step_px * frames
-    noise = [cv2.GaussianBlur(g.standard_normal(wide), (0, 0), s) * s for s in (4, 7, 12)]
+    noise = [
+        cv2.GaussianBlur(g.standard_normal(wide), (0, 0), s) * s for s in (4, 7, 12)
+    ]
     world = np.clip(0.5 + 0.15 * np.stack(noise, -1) / np.std(noise), 0, 1)
     nodes = still_field(width, height, CELL_PX, 96)
     origin = nodes.x0, nodes.y0
@@ -142,7 +151,9 @@ def pan_errors(
     return errors
 
 
-def areas_on_plane(bands: int, repeats: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def areas_on_plane(
+    bands: int, repeats: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(depth, m, of bands of a plane that goes from FAR_M above to NEAR_M below; mean area
     of cells there, px, as printed with cones by the depth buffer, and corrected)."""
     height = _SIZE.height
@@ -267,14 +278,18 @@ def own_cell_share(sites: Sites) -> float:
 def farthest(sites: Sites, labels: np.ndarray) -> float:
     """px from a pixel to its site, at most."""
     y, x = np.indices(labels.shape)
-    return float(np.hypot(x - sites.x[labels] / STEPS, y - sites.y[labels] / STEPS).max())
+    return float(
+        np.hypot(x - sites.x[labels] / STEPS, y - sites.y[labels] / STEPS).max()
+    )
 
 
 def mean_error(image: np.ndarray, labels: np.ndarray) -> float:
     """Grey levels from the colours of cells to the means of their pixels, at most."""
     used = np.unique(labels)
     colours = mean_colours(image, [labels], int(used.max()) + 1)[0][used]
-    exact = [ndimage.mean(channel, labels, used) for channel in np.moveaxis(image, 2, 0)]
+    exact = [
+        ndimage.mean(channel, labels, used) for channel in np.moveaxis(image, 2, 0)
+    ]
     return float(255 * np.abs(colours - np.stack(exact, -1)).max())
 
 

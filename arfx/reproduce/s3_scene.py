@@ -123,13 +123,17 @@ class Shown(NamedTuple):
         noisy = np.clip(self.image + g.normal(0, sigma, self.image.shape), 0, 1)
         rect = self.layers.rect
         image = SRGB.decode(noisy).astype(np.float32)
-        layers = Layers(rect, {**self.layers.written, Layer.IMAGE: Pixels(rect, image)})
+        layers = Layers(
+            rect, {**self.layers.written, Layer.IMAGE: Pixels(rect, image)}
+        )
         return self._replace(layers=layers, facts=replace(self.facts, index=index))
 
     def objects(self) -> dict[str, np.ndarray]:
         """(h, w) bool of the pixels of each object: the model's parts from left to right."""
         middle = np.array([p.vertices[:, 0].mean() for p in self.scene.model.parts])
-        place = (middle - middle.min()) / np.ptp(middle)  # teapot, then cube, then rabbit
+        place = (middle - middle.min()) / np.ptp(
+            middle
+        )  # teapot, then cube, then rabbit
         kind = np.append(-1, (place >= 0.5).astype(int) + (place >= 1))
         number = kind[self.layers[Layer.OBJECT_ID]]
         return {name: number == k for k, name in enumerate(OBJECTS)}
@@ -157,7 +161,9 @@ def shown(work: Work) -> Shown:
     clip = work.clip(SCENE.format(width=width, height=height))
     model = {"file": work.model("group"), "fit": "26cm"}
     shot = work.shot(clip, {"model": model})
-    layers = shot.renderer.after(shot.up_to("watercolor")[:-1]).view(shot.renderer.window)
+    layers = shot.renderer.after(shot.up_to("watercolor")[:-1]).view(
+        shot.renderer.window
+    )
     return Shown(layers, shot.facts, shot.job.scene, shot.renderer.original())
 
 

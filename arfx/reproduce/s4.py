@@ -15,7 +15,12 @@ from arfx.core.colour import SRGB
 from arfx.core.cube import CubeMap, look_up
 from arfx.core.numerics import angle_between, direction_of
 from arfx.core.pose import Pose, rotation_from_euler_deg
-from arfx.papers.s4_environment import FACE_PX, mip_level, step3_environment, step3_mipmap
+from arfx.papers.s4_environment import (
+    FACE_PX,
+    mip_level,
+    step3_environment,
+    step3_mipmap,
+)
 from arfx.reproduce.rows import BEFORE, CORRECTED, PRINTED, Figure, Items, row
 from arfx.reproduce.s4_cones import cones
 from arfx.reproduce.s4_pictures import on_the_plane, pictures

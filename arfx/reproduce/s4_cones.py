@@ -139,7 +139,9 @@ def furnace(work: Work) -> Items:
     corrected = mean_with(STAGES["gi"]())
     for n in (32, 64, 128):
         if n == 32 or not work.short:
-            printed = mean_with(PrintedGi(PrintedGiParams(voxels=n, plane_albedo=1.0)))
+            printed = mean_with(
+                PrintedGi(PrintedGiParams(voxels=n, plane_albedo=1.0))
+            )
         means = np.array([printed, corrected])
         yield row(
             f"step 4, white furnace at {n}³ voxels",

@@ -35,7 +35,8 @@ def mirrored_room(clip: Clip, shot: Shot, picture: np.ndarray) -> np.ndarray:
     room = room._replace(spheres=np.vstack([room.spheres, [ball]]), sky=sky)
     covered = shot.layer(Layer.COVERAGE) > 0.5
     normal, position = (
-        shot.layer(name)[covered].astype(float) for name in (Layer.NORMAL, Layer.POSITION)
+        shot.layer(name)[covered].astype(float)
+        for name in (Layer.NORMAL, Layer.POSITION)
     )
     seen = position - shot.facts.pose.inverse().translation_m
     towards = seen - 2 * (seen * normal).sum(-1, keepdims=True) * normal
@@ -45,9 +46,9 @@ def mirrored_room(clip: Clip, shot: Shot, picture: np.ndarray) -> np.ndarray:
         cosine = 1 / np.hypot(1, lamp[6])  # of half its angular size
         light[unit @ lamp[:3] > cosine] += lamp[3:6] / (2 * (1 - cosine))
     out = picture.copy()
-    out[covered] = np.rint(255 * SRGB.encode(np.clip(REFLECTED * light, 0, 1))).astype(
-        np.uint8
-    )
+    out[covered] = np.rint(
+        255 * SRGB.encode(np.clip(REFLECTED * light, 0, 1))
+    ).astype(np.uint8)
     return out
 
 

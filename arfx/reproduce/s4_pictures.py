@@ -63,7 +63,9 @@ def pictures(work: Work) -> Items:
         ),
     ):
         settings = methods(work, model, fit, LAMP, **gi)
-        yield from beside_reference(work, item, title, settings, model == "mirror", why)
+        yield from beside_reference(
+            work, item, title, settings, model == "mirror", why
+        )
     yield from rates(work)
 
 
@@ -107,7 +109,9 @@ def on_the_plane(work: Work) -> Items:
 def without_planes(shot: Shot) -> Shot:
     """The same frame with indirect light on the object alone."""
     stage = shot.stages["gi"]
-    return shot.with_stage(type(stage)(stage.params.model_copy(update={"strength": 0.0})))
+    return shot.with_stage(
+        type(stage)(stage.params.model_copy(update={"strength": 0.0}))
+    )
 
 
 def ring(coverage: np.ndarray) -> np.ndarray:
@@ -118,7 +122,12 @@ def ring(coverage: np.ndarray) -> np.ndarray:
 
 
 def beside_reference(
-    work: Work, item: str, title: str, settings: dict[str, Any], mirror: bool, reason: str
+    work: Work,
+    item: str,
+    title: str,
+    settings: dict[str, Any],
+    mirror: bool,
+    reason: str,
 ) -> Items:
     """One frame by both methods and by traced rays; the mean error where the effect touches
     the picture.

@@ -112,7 +112,9 @@ def small(cells: np.ndarray, alpha: float = 1.0, stored: bool = False) -> Volume
     return octree_of(cube, cells, none, opacity, stored)
 
 
-def ray(alpha: float, cells: np.ndarray, steps: list[list[float]]) -> list[np.ndarray]:
+def ray(
+    alpha: float, cells: np.ndarray, steps: list[list[float]]
+) -> list[np.ndarray]:
     """(4,) radiance and what is left behind a ray along x through voxels that glow as
     bright as they are opaque: as printed, and with means of stored children and radiance in
     proportion to a step's opacity."""
@@ -170,7 +172,8 @@ def memory(work: Work) -> Items:
     made = {}
     for n in (64, 128, 256):
         printed, dense = (
-            size / 2**20 for size in step2_volumes(mesh, scene, n).memory_bytes(CHANNELS)
+            size / 2**20
+            for size in step2_volumes(mesh, scene, n).memory_bytes(CHANNELS)
         )
         made[f"{n}³"] = printed, dense
         yield row(

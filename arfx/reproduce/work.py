@@ -110,7 +110,9 @@ class Shot(NamedTuple):
 
     def with_stage(self, stage: Stage) -> Shot:
         """The same with this one in place of the job's of its name."""
-        steps = ((stage if own.name == stage.name else own, at) for own, at in self.chain)
+        steps = (
+            (stage if own.name == stage.name else own, at) for own, at in self.chain
+        )
         return self._replace(chain=tuple(steps))
 
     def seconds(self, stage: str, repeats: int = 5) -> float:
@@ -163,7 +165,9 @@ class Work:
             folder = JobFolder(self.folder / key)
             folder.open(resume=False)
             config = _config(clip.folder, settings, self.folder / "out.mkv")
-            options = Options(overwrite=True, progress=self.progress, notice=self.notice)
+            options = Options(
+                overwrite=True, progress=self.progress, notice=self.notice
+            )
             self._planned[key] = plan_job(open_inputs(config), folder, options)
         return self._planned[key]
 
@@ -183,7 +187,9 @@ class Work:
             shot = self.shot(clip, settings)
             seconds = {stage: shot.seconds(stage, 1) for stage in shot.stages}
             return Timed(1 / sum(seconds.values()), seconds, peak_mb(), peak_mb())
-        timed: Timed = self.apart(timed_job, clip.folder, clip.scene.clip.fps, settings)
+        timed: Timed = self.apart(
+            timed_job, clip.folder, clip.scene.clip.fps, settings
+        )
         return timed
 
     def apart(self, function: Callable[..., Any], *arguments: Any) -> Any:
@@ -247,7 +253,9 @@ def timed_job(folder: Path, fps: float, settings: Settings) -> Timed:
     phases = ("decode", "analyse", "render", "encode")
     seconds = sum(spent[f"{phase}_s"] for phase in phases)
     stages = {
-        s["name"]: s["measured_s"] / frames for s in report["stages"] if s["frames_run"]
+        s["name"]: s["measured_s"] / frames
+        for s in report["stages"]
+        if s["frames_run"]
     }
     return Timed(frames / seconds, stages, peak_mb(), start_mb)
 

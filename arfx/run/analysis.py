@@ -66,7 +66,9 @@ class AnalysisPass:
     damaged: bool = False
 
 
-def in_order(tasks: Iterator[Task], count: int, frames: int, progress: Done) -> Results:
+def in_order(
+    tasks: Iterator[Task], count: int, frames: int, progress: Done
+) -> Results:
     """The stretches one after the other, in this thread."""
     return run_serial(tasks, progress, analyse_stretch)
 
@@ -214,7 +216,9 @@ class _Pass:
             part.to_json(),
             self.context.stretches.frames,
         )
-        path: Path = self.folder.stretches / f"{part.first:06d}-{part.last:06d}.{name}"
+        path: Path = (
+            self.folder.stretches / f"{part.first:06d}-{part.last:06d}.{name}"
+        )
         return path
 
     def _note(self, name: str, result: Mapping[str, Any]) -> None:

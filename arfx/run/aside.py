@@ -37,7 +37,9 @@ def planned_aside(
         if not named:  # only where it would go is open; mkv holds what any clip has
             config = config.model_copy(
                 update={
-                    "output": config.output.model_copy(update={"path": Path("out.mkv")})
+                    "output": config.output.model_copy(
+                        update={"path": Path("out.mkv")}
+                    )
                 }
             )
         inputs = open_inputs(config, options.progress)
@@ -50,7 +52,9 @@ def planned_aside(
         folder = JobFolder(Path(scratch) / "job")
         folder.open(resume=False)
         workers = planned_workers(options.executor) or options.workers
-        yield plan_job(inputs, folder, replace(options, workers=workers, executor=None))
+        yield plan_job(
+            inputs, folder, replace(options, workers=workers, executor=None)
+        )
 
 
 def plan_document(job: Job) -> dict[str, Any]:

@@ -31,7 +31,9 @@ def ahead(items: Iterator[T], depth: int = 4) -> Generator[T]:
 
 
 @contextlib.contextmanager
-def behind(write: Callable[[T], None], depth: int = 2) -> Iterator[Callable[[T], None]]:
+def behind(
+    write: Callable[[T], None], depth: int = 2
+) -> Iterator[Callable[[T], None]]:
     """Yields what hands an item to `write`, in order, while `depth` others wait at most.
 
     Raises what `write` raises, at a later item or at the end; after an error, there or in

@@ -18,7 +18,13 @@ from pathlib import Path
 from typing import Any
 
 from arfx.core import interrupt
-from arfx.errors import ConfigError, JobInterruptedError, counted, explained, on_one_line
+from arfx.errors import (
+    ConfigError,
+    JobInterruptedError,
+    counted,
+    explained,
+    on_one_line,
+)
 from arfx.run.aside import plan_document, planned_aside
 from arfx.run.batch_jobs import BatchJob, names_of
 from arfx.run.folder import JobFolder
@@ -74,7 +80,10 @@ def total_of(rows: Sequence[Row]) -> dict[str, float] | None:
 
 
 def _each(
-    jobs: Sequence[BatchJob], work: Callable[[BatchJob], Row], started: Started, how: str
+    jobs: Sequence[BatchJob],
+    work: Callable[[BatchJob], Row],
+    started: Started,
+    how: str,
 ) -> Iterator[Row]:
     """work : gives what its row holds beside the usual"""
     with interrupt.catching((signal.SIGINT,)):
@@ -109,14 +118,18 @@ def _each(
             yield row
             if stopped:
                 error = JobInterruptedError(
-                    f"{row['message']} at clip {k + 1} of {len(jobs)}, {job.clip}", how
+                    f"{row['message']} at clip {k + 1} of {len(jobs)}, {job.clip}",
+                    how,
                 )
                 error.exit_code = row["exit_code"]
                 raise error
 
 
 def _process(
-    job: BatchJob, name: Path, options: Options, finish: Callable[[Path, Path], object]
+    job: BatchJob,
+    name: Path,
+    options: Options,
+    finish: Callable[[Path, Path], object],
 ) -> Row:
     report = None if options.report is None else options.report / name
     made = OutputsMade(place(job.output).parent)
@@ -128,7 +141,9 @@ def _process(
             default_folder(job.output)
         ).clear()  # of a process that was killed when all was done
         page = (
-            None if report is None or not (report / PAGE).exists() else str(report / PAGE)
+            None
+            if report is None or not (report / PAGE).exists()
+            else str(report / PAGE)
         )
         return {
             "message": f"{counted(before.frames, 'frames')}, done before",
@@ -142,7 +157,9 @@ def _process(
         if report is not None:
             finish(path, report)
         frames = json.loads(folder.report.read_bytes())["output"]["frames"]
-        made.note(job.output, folder.sealed_key(), time.perf_counter() - began, frames)
+        made.note(
+            job.output, folder.sealed_key(), time.perf_counter() - began, frames
+        )
 
     own = None if options.folder is None else options.folder / name
     with _folders_for(job.output):
@@ -176,7 +193,9 @@ def _made_before(job: BatchJob, made: OutputsMade, overwrite: bool) -> Made | No
 def _plan(job: BatchJob, options: Options) -> Row:
     if (
         options.resume
-        and _made_before(job, OutputsMade(place(job.output).parent), options.overwrite)
+        and _made_before(
+            job, OutputsMade(place(job.output).parent), options.overwrite
+        )
         is not None
     ):
         return {"message": "done before", "plan": None}
@@ -200,7 +219,8 @@ def _folders_for(output: Path) -> Iterator[None]:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as e:
         raise ConfigError(
-            f"output folder {folder} cannot be made: {e.strerror}", "name another with -o"
+            f"output folder {folder} cannot be made: {e.strerror}",
+            "name another with -o",
         ) from None
     try:
         yield

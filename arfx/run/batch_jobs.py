@@ -208,7 +208,9 @@ def _check_distinct(jobs: Sequence[BatchJob]) -> None:
 
 def _check_absent(jobs: Sequence[BatchJob]) -> None:
     there = [job for job in jobs if files_of(job.output)]
-    begun = [job for job in jobs if JobFolder(default_folder(job.output)).job.exists()]
+    begun = [
+        job for job in jobs if JobFolder(default_folder(job.output)).job.exists()
+    ]
     if there or begun:
         what = (
             f"exist already, the first {there[0].output}"

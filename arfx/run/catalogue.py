@@ -49,7 +49,10 @@ def sections() -> list[str]:
 
 def everything() -> dict[str, Any]:
     """All stages in running order, and the other sections, each as `describe` has it."""
-    return {"stages": [*map(describe, STAGES)], "sections": [*map(describe, sections())]}
+    return {
+        "stages": [*map(describe, STAGES)],
+        "sections": [*map(describe, sections())],
+    }
 
 
 def describe(name: str) -> dict[str, Any]:
@@ -123,7 +126,10 @@ def _words(hint: Any) -> str:
     """A type as people say it: number, length, list of 3 numbers."""
     if hint in (Length, Time):
         return "length" if hint == Length else "time"
-    origin, inner = get_origin(hint), [a for a in get_args(hint) if a is not type(None)]
+    origin, inner = (
+        get_origin(hint),
+        [a for a in get_args(hint) if a is not type(None)],
+    )
     if origin is Literal:
         return " or ".join(map(str, inner))
     if origin in (tuple, list):

@@ -31,7 +31,9 @@ Done = Callable[[int], None]  # is told how many frames are done
 Task = tuple[Any, ...]
 # work(*task, tick, alone=False): a function of a module; tick() after every frame
 Work = Callable[..., dict[str, Any]]
-Results = Generator[dict[str, Any], None, None]  # to be closed: that stops the workers
+Results = Generator[
+    dict[str, Any], None, None
+]  # to be closed: that stops the workers
 
 
 def run_serial(tasks: Iterable[Task], progress: Done, work: Work) -> Results:
@@ -102,7 +104,8 @@ def _in_threads(
     pool = futures.ThreadPoolExecutor(len(queues), "worker")
     try:
         running = {
-            pool.submit(run, own, work) for own, work in zip(queues, crew, strict=False)
+            pool.submit(run, own, work)
+            for own, work in zip(queues, crew, strict=False)
         }
         while running or not results.empty():
             ready, running = futures.wait(

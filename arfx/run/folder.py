@@ -197,7 +197,9 @@ class JobFolder:
         try:
             with os.scandir(self.path / inside) as found:
                 entries = sorted(found, key=lambda e: e.name)
-        except FileNotFoundError:  # none yet, or none any more: a job that ends clears it
+        except (
+            FileNotFoundError
+        ):  # none yet, or none any more: a job that ends clears it
             return
         for e in entries:
             name = inside + e.name
@@ -267,18 +269,23 @@ class Lines(Generic[T]):
 
     parse : what a line becomes;  header : lines at the top that do not count"""
 
-    def __init__(self, path: Path, parse: Callable[[str], T], header: int = 0) -> None:
+    def __init__(
+        self, path: Path, parse: Callable[[str], T], header: int = 0
+    ) -> None:
         self._path, self._parse = path, parse
         with path.open("rb") as f:
             self._starts = np.cumsum([0, *map(len, f)])[header:]
 
     def __getitem__(self, part: slice) -> list[T]:
         wanted = range(len(self._starts) - 1)[part]
-        start, end = self._starts[[wanted.start, max(wanted.start, wanted.stop)]].tolist()
+        start, end = self._starts[
+            [wanted.start, max(wanted.start, wanted.stop)]
+        ].tolist()
         with self._path.open("rb") as f:
             f.seek(start)
             return [
-                self._parse(line) for line in f.read(end - start).decode().splitlines()
+                self._parse(line)
+                for line in f.read(end - start).decode().splitlines()
             ]
 
 
@@ -291,7 +298,9 @@ def digest(*parts: Any) -> str:
     return h.hexdigest()
 
 
-def file_digest(path: Path, whole_up_to: int = 256 << 20, with_time: bool = True) -> str:
+def file_digest(
+    path: Path, whole_up_to: int = 256 << 20, with_time: bool = True
+) -> str:
     """Content digest of a file; of a larger one its size, time and three samples, so that
     an hour of 4K costs nothing.
 
@@ -375,6 +384,10 @@ def load_previews(folder: Path) -> list[tuple[int, np.ndarray, np.ndarray]]:
             pair = [cv2.imread(str(p)) for p in (path, after)]
             if pair[0] is not None and pair[1] is not None:
                 out.append(
-                    (int(path.name.split(".")[0]), pair[0][..., ::-1], pair[1][..., ::-1])
+                    (
+                        int(path.name.split(".")[0]),
+                        pair[0][..., ::-1],
+                        pair[1][..., ::-1],
+                    )
                 )
     return out

@@ -50,7 +50,9 @@ class FrameLayers:
         """Write what a stage returned that saw `need`, over `out`; the rest stays. Returns
         what is new.
         """
-        new = (output if isinstance(output, Pixels) else Pixels(need, output)).clip(out)
+        new = (output if isinstance(output, Pixels) else Pixels(need, output)).clip(
+            out
+        )
         before = self.stored.get(name)
         kept = new.rect if name is Layer.IMAGE else out
         if before is None or kept.contains(before.rect):
@@ -88,7 +90,9 @@ def ready_stages(
     plan: FramePlan, stages: Mapping[str, Stage], scene: Scene
 ) -> dict[str, ReadyStage]:
     """The stages of a plan, prepared at its levels."""
-    return {s.stage: ReadyStage.of(stages[s.stage], scene, s.level) for s in plan.steps}
+    return {
+        s.stage: ReadyStage.of(stages[s.stage], scene, s.level) for s in plan.steps
+    }
 
 
 def run_frame(
@@ -140,7 +144,9 @@ def run_frame(
     return FrameResult(plan.changed, seconds, layers)
 
 
-def _converted(output: np.ndarray | Pixels, colours: np.ndarray) -> np.ndarray | Pixels:
+def _converted(
+    output: np.ndarray | Pixels, colours: np.ndarray
+) -> np.ndarray | Pixels:
     """Linear colours (h, w, 3) in other primaries."""
     array = output.array if isinstance(output, Pixels) else output
     if not array.size:

@@ -101,7 +101,8 @@ def check_complete(config: JobConfig) -> None:
     if config.model.anchor == "plane":
         if config.input.depth is None:
             raise ConfigError(
-                "--anchor plane needs the depth that shows the plane", "--depth DIR|FILE"
+                "--anchor plane needs the depth that shows the plane",
+                "--depth DIR|FILE",
             )
     elif not config.markers:
         raise ConfigError(
@@ -121,7 +122,9 @@ def check_complete(config: JobConfig) -> None:
             f"{'pattern' if pattern else 'marker'} {twice[0]} is named twice", once
         )
     if config.model.file is None:
-        raise ConfigError("no model is named", "--model FILE: glTF/GLB, OBJ, PLY, STL …")
+        raise ConfigError(
+            "no model is named", "--model FILE: glTF/GLB, OBJ, PLY, STL …"
+        )
     if config.output.path is None:
         raise ConfigError("no output is named", "-o out.mp4")
 
@@ -328,6 +331,11 @@ def _wpilib_layout(document: dict) -> dict[str, Pose]:
         t, q = tag["pose"]["translation"], tag["pose"]["rotation"]["quaternion"]
         # what is not finite is refused with the other poses
         with np.errstate(invalid="ignore", over="ignore"):
-            r = rotation_from_quaternion(np.array([float(q[k]) for k in "WXYZ"])) @ swap
-        out[f"36h11:{int(tag['ID'])}"] = Pose(r, np.array([float(t[k]) for k in "xyz"]))
+            r = (
+                rotation_from_quaternion(np.array([float(q[k]) for k in "WXYZ"]))
+                @ swap
+            )
+        out[f"36h11:{int(tag['ID'])}"] = Pose(
+            r, np.array([float(t[k]) for k in "xyz"])
+        )
     return out

@@ -113,7 +113,10 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
     ):
 
         def progress(
-            phase: str, done: int, total: int | None, report: Progress = options.progress
+            phase: str,
+            done: int,
+            total: int | None,
+            report: Progress = options.progress,
         ) -> None:
             check()
             report(phase, done, total)
@@ -203,7 +206,15 @@ def plan_job(
         plans, document = wait_for(
             "plan",
             lambda: choose(
-                config, stages, facts, scene, policy, errors, prices, size, notices.append
+                config,
+                stages,
+                facts,
+                scene,
+                policy,
+                errors,
+                prices,
+                size,
+                notices.append,
             ),
             options.progress,
         )

@@ -31,7 +31,9 @@ MANIFEST = Path(__file__).with_suffix(".json")
 # Parts of the list; the others are named by the stage that brings them, or hold what few
 # jobs call
 JOB, SYNTH = "job", "synth"
-PROCESS_S = 4.0  # of compiling, for each process: it takes one or two seconds to start
+PROCESS_S = (
+    4.0  # of compiling, for each process: it takes one or two seconds to start
+)
 _AHEAD = threading.Event()  # while kernels are compiled ahead in this process
 
 

@@ -40,7 +40,9 @@ def model_size(scene: Scene, facts: Sequence[FrameFacts]) -> dict[str, Any]:
         if f.camera_from_world is not None
     ]
     placed = (
-        anchor_marker(scene.markers, scene.world_from_marker) if scene.markers else None
+        anchor_marker(scene.markers, scene.world_from_marker)
+        if scene.markers
+        else None
     )
     return {
         "size_m": float(np.ptp(scene.model.bounds, axis=0).max()) * scale,
@@ -71,7 +73,8 @@ def check_size(scene: Scene, facts: Sequence[FrameFacts]) -> list[str]:
     looked = posed[:: max(len(posed) // _LOOKED, 1)]
     model_from_world = np.linalg.inv(scene.world_from_model)
     inside = [
-        _winding(scene.model, _camera_in_model(f, model_from_world)) > 0.5 for f in looked
+        _winding(scene.model, _camera_in_model(f, model_from_world)) > 0.5
+        for f in looked
     ]
     if 2 * sum(inside) > len(inside):
         raise ConfigError(

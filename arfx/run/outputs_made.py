@@ -50,7 +50,9 @@ class OutputsMade:
         """Files in the folder that are as a batch made them."""
         paths = ((self.folder / name, made) for name, made in self._rows.items())
         return frozenset(
-            path for path, made in paths if path.is_file() and made.files == _files(path)
+            path
+            for path, made in paths
+            if path.is_file() and made.files == _files(path)
         )
 
     def note(self, output: Path, key: str, seconds: float, frames: int) -> None:

@@ -82,7 +82,9 @@ def jpeg(rgb: np.ndarray, quality: int = 88) -> str:
     import cv2
 
     ok, data = cv2.imencode(
-        ".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality]
+        ".jpg",
+        np.ascontiguousarray(rgb[..., ::-1]),
+        [cv2.IMWRITE_JPEG_QUALITY, quality],
     )
     if not ok:
         raise RenderError(f"a picture of shape {rgb.shape} cannot be encoded")

@@ -29,7 +29,8 @@ def parameters() -> Mapping[str, Mapping[str, Any]]:
         "light": {CORRECTED: LightParams, **printed},
     }
     return analysis | {
-        name: {f: stage.Params for f, stage in _classes(name).items()} for name in STAGES
+        name: {f: stage.Params for f, stage in _classes(name).items()}
+        for name in STAGES
     }
 
 
@@ -37,7 +38,11 @@ def _classes(name: str) -> dict[str, type[Stage]]:
     """A stage's class by formula."""
     return {
         CORRECTED: STAGES[name],
-        **{formula: table[name] for formula, table in FORMULAS.items() if name in table},
+        **{
+            formula: table[name]
+            for formula, table in FORMULAS.items()
+            if name in table
+        },
     }
 
 
@@ -87,7 +92,9 @@ def pipeline(config: JobConfig) -> tuple[str, ...]:
                 suggestion(name, list(STAGES)),
             )
         if name in ON_DEPTH and not deep:
-            raise ConfigError(f"{name} needs depth", f"give --depth, or leave {name} out")
+            raise ConfigError(
+                f"{name} needs depth", f"give --depth, or leave {name} out"
+            )
     ordered = [name for name in STAGES if name in asked]
     if asked != ordered:
         raise ConfigError(

@@ -166,7 +166,9 @@ class Places:
                 same_end = isinstance(e, NothingToDoError) or (
                     isinstance(e, (ConfigError, InputError)) and not resume
                 )
-                if same_end:  # another try with the same command would not get further
+                if (
+                    same_end
+                ):  # another try with the same command would not get further
                     self.folder.clear("stretches/")
                 if not self.folder.resumable:
                     self.folder.clear()

@@ -32,7 +32,12 @@ from arfx.run.schedule import borders, elapsed, lead_frames
 DECODE_SPREAD = (
     0.25  # decoding again beside the rendering, against decoding beside the analysis
 )
-UNSHARED = ("before", "prepare", "join", "report")  # phases that the workers do not share
+UNSHARED = (
+    "before",
+    "prepare",
+    "join",
+    "report",
+)  # phases that the workers do not share
 
 
 @dataclass(frozen=True)
@@ -122,7 +127,9 @@ def predict(
     )
     phases = {
         "before": measured(size.before_s),
-        "prepare": measured(0.0) if prepared else prepare(levels_of(plans), size, prices),
+        "prepare": measured(0.0)
+        if prepared
+        else prepare(levels_of(plans), size, prices),
         "decode": with_spread(size.decode_s + lead_s, DECODE_SPREAD),
         "stages": work,
         "edit": edit,
@@ -150,7 +157,8 @@ def _shared(
     planned = [sum(s.seconds or 0.0 for s in p.steps) for p in plans]
     scale = 1.0 if work is None or not sum(planned) else work.seconds / sum(planned)
     decode_s, render_s, write_s = (
-        s / max(size.frames, 1) for s in (size.decode_s, size.decode_s + edit_s, encode_s)
+        s / max(size.frames, 1)
+        for s in (size.decode_s, size.decode_s + edit_s, encode_s)
     )
     both: Callable[[float, float], float] = max if size.workers == 1 else operator.add
     chunks = borders(size.frames)

@@ -24,7 +24,9 @@ from arfx.media.depth_maps import DepthMaps, fill_holes
 from arfx.media.frames import ClipReader, Frame
 from arfx.run.background_io import ahead
 
-KEPT_BYTES = 256_000_000  # of decoded frames: some three seconds of 1080p, six of 720p
+KEPT_BYTES = (
+    256_000_000  # of decoded frames: some three seconds of 1080p, six of 720p
+)
 
 
 class KeptFrames:
@@ -96,7 +98,9 @@ class Source:
     def _read(self, threads: int, careful: bool) -> None:
         self.careful = careful
         self._reader = ClipReader(self.info, threads, careful)
-        self._frames = self._reader.frames(self.pts[self.index], first_index=self.index)
+        self._frames = self._reader.frames(
+            self.pts[self.index], first_index=self.index
+        )
 
     def next(self) -> Frame | None:
         """Frame number `index` of the job, which moves on; None where the file does not
@@ -146,7 +150,12 @@ class StretchFrames:
         careful: bool,
         seeks: bool,
     ) -> None:
-        self.info, self.alone, self.frontier, self.seconds = info, alone, first_pts, 0.0
+        self.info, self.alone, self.frontier, self.seconds = (
+            info,
+            alone,
+            first_pts,
+            0.0,
+        )
         self.reader = ClipReader(
             info,
             0 if alone else 1,
@@ -176,7 +185,9 @@ class StretchFrames:
         if self._back is not None:
             frame, self._back = self._back, None
             return frame
-        self.frontier = None  # a stretch that is left in its middle is not gone on with
+        self.frontier = (
+            None  # a stretch that is left in its middle is not gone on with
+        )
         return next(self._frames)
 
     def put_back(self, frame: Frame, frontier: int) -> None:
@@ -192,7 +203,11 @@ _of_thread = threading.local()  # reading : what the thread read from last
 
 
 def source_at(
-    info: ClipInfo, pts: list[int], index: int, threads: int = 0, careful: bool = False
+    info: ClipInfo,
+    pts: list[int],
+    index: int,
+    threads: int = 0,
+    careful: bool = False,
 ) -> Source:
     """The source that this thread read from last, if it is at `index` of the same job, or,
     a careful one, before it; else a new one."""
@@ -229,7 +244,9 @@ def stretch_at(
     ):
         return last
     release()
-    _of_thread.reading = source = StretchFrames(info, first_pts, alone, careful, seeks)
+    _of_thread.reading = source = StretchFrames(
+        info, first_pts, alone, careful, seeks
+    )
     return source
 
 

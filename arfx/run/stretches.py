@@ -30,7 +30,12 @@ from arfx.core.colour import Transfer
 from arfx.errors import NothingToDoError
 from arfx.media.clip import ClipInfo, probe
 from arfx.media.frame import Frame
-from arfx.media.frames import ClipReader, FrameDamageError, FrameTimes, FrameTimesError
+from arfx.media.frames import (
+    ClipReader,
+    FrameDamageError,
+    FrameTimes,
+    FrameTimesError,
+)
 from arfx.media.pose_files import CameraPath
 from arfx.run.folder import JobFolder, write
 from arfx.run.memory import peak_mb
@@ -57,7 +62,10 @@ class Span:
         return float((pts - self.info.start_pts) * self.info.time_base)
 
     def before(self, pts: int) -> bool:
-        return self.start_s is not None and self.since_s(pts) < self.start_s - _ROUNDING_S
+        return (
+            self.start_s is not None
+            and self.since_s(pts) < self.start_s - _ROUNDING_S
+        )
 
     def behind(self, pts: int) -> bool:
         return self.end_s is not None and self.since_s(pts) > self.end_s + _ROUNDING_S
@@ -326,7 +334,9 @@ def observe(
         if source.reader.damaged:
             raise FrameDamageError(f"{context.span.info.path}: frames are damaged")
         if source.reader.repaired:
-            raise FrameTimesError(f"{context.span.info.path}: frame times go backwards")
+            raise FrameTimesError(
+                f"{context.span.info.path}: frame times go backwards"
+            )
 
     def frames() -> Generator[Frame]:
         nonlocal end

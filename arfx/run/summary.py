@@ -52,7 +52,9 @@ def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, 
     written = [output]
     if plan.is_sequence:
         written = [output.with_name(output.name % f.index) for f in facts]
-    lit = {f.index for f in job.plan.frames if any(s.stage in _SHADING for s in f.steps)}
+    lit = {
+        f.index for f in job.plan.frames if any(s.stage in _SHADING for s in f.steps)
+    }
     shaded = sum(f.light is not None and f.index in lit for f in facts)
     return {
         "input": {
@@ -150,11 +152,19 @@ def health(job: Job) -> Iterator[Check]:
 
     None of its values is not finite: it would have stopped there.
     """
-    facts, summary, truncated = job.facts, job.analysed.summary, job.analysed.truncated
+    facts, summary, truncated = (
+        job.facts,
+        job.analysed.summary,
+        job.analysed.truncated,
+    )
     camera, file = job.inputs.camera, job.inputs.config.input.camera
     known = "guessed" if camera.guessed else "given"
     yield Check(
-        "camera calibration", known, "given", not camera.guessed, "field of view assumed"
+        "camera calibration",
+        known,
+        "given",
+        not camera.guessed,
+        "field of view assumed",
     )
     claims = {} if file is None else calibration_claims(file)
     again = "calibrate again"
@@ -172,9 +182,13 @@ def health(job: Job) -> Iterator[Check]:
     for stage in job.stages.values():
         yield from stage.health(JobView(facts, job.scene, levels, picture))
     absent = sum(f.status == ABSENT for f in facts)
-    yield Check("frames without a pose", absent, 0, absent == 0, "object left out there")
+    yield Check(
+        "frames without a pose", absent, 0, absent == 0, "object left out there"
+    )
     missing = sum(count for _, count in job.analysed.missing)
-    state = "damaged" if job.analysed.damaged else "incomplete" if missing else "whole"
+    state = (
+        "damaged" if job.analysed.damaged else "incomplete" if missing else "whole"
+    )
     state, action = truncated or state, "processed to its last good frame"
     yield Check("source file", state, "whole", state == "whole", action)
     action = f"left out: {places_in_words(job.analysed.missing)}"

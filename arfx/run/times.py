@@ -134,7 +134,9 @@ class WorkLog:
             seconds,
             stages,
             tuple(
-                key for work, key in wanted if work == CHUNK and (work, key) not in last
+                key
+                for work, key in wanted
+                if work == CHUNK and (work, key) not in last
             ),
             sum(walls.values()),
             len(walls),

@@ -101,9 +101,7 @@ def process_name() -> str:
     """Of this machine and process, in names of files that several machines write into one
     folder.
     """
-    return (
-        f"{re.sub('[^0-9A-Za-z]', '', socket.gethostname())[:32] or 'host'}-{os.getpid()}"
-    )
+    return f"{re.sub('[^0-9A-Za-z]', '', socket.gethostname())[:32] or 'host'}-{os.getpid()}"
 
 
 def frozen_job(folder: JobFolder, paths: Paths) -> JobConfig:
@@ -211,7 +209,12 @@ def render_chunk(
                             " another container and try again",
                         )
                     out = _frame(
-                        context, frame, facts[index], plans[index], seconds, stage_seconds
+                        context,
+                        frame,
+                        facts[index],
+                        plans[index],
+                        seconds,
+                        stage_seconds,
                     )
                     if index in context.previews:
                         save_preview(context.folder.previews, index, frame, out)

@@ -57,7 +57,9 @@ class Table(Classes):
         return _loaded(name, self.plugins[name])
 
     def __iter__(self) -> Iterator[str]:
-        return iter([*self._paths, *(n for n in self.plugins if n not in self.broken)])
+        return iter(
+            [*self._paths, *(n for n in self.plugins if n not in self.broken)]
+        )
 
     @cached_property
     def plugins(self) -> Mapping[str, EntryPoint]:

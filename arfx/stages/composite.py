@@ -38,13 +38,18 @@ class Composite(Stage):
         drawn = now.extent(Layer.VIRTUAL).union(now.extent(Layer.COVERAGE))
         box = drawn.clip(facts.raster_box)
         shaded = now.crop(now.extent(Layer.SHADOW).union(box))
-        opacity, bias = np.float32(facts.opacity), np.array(facts.bias_rgb, np.float32)
+        opacity, bias = (
+            np.float32(facts.opacity),
+            np.array(facts.bias_rgb, np.float32),
+        )
         image = np.empty((shaded.rect.height, shaded.rect.width, 3), np.float32)
         shadow = shaded[Layer.SHADOW]
         # by bands, so that the plate's pixels are used while they are in the cache
         for band in bands(shaded.rect):
             part = band.slices_in(shaded.rect)
-            shade(now.crop(band)[Layer.PLATE], shadow[part], opacity, bias, image[part])
+            shade(
+                now.crop(band)[Layer.PLATE], shadow[part], opacity, bias, image[part]
+            )
         if not box.empty:
             over = now.crop(box)
             _over(

@@ -18,7 +18,9 @@ from arfx.core.scene import Scene
 _WINDOW_SHARE = 1 / 160  # radius of the filter's window over the picture's width
 _PASSES = 2  # each draws the edge nearer to the picture's
 _FAINT = 0.06  # a share below this, and above 1 less this, is the filter's own spill
-_EPS = 0.05**2  # variance of the picture, coded 0..1, from which an edge counts as one
+_EPS = (
+    0.05**2
+)  # variance of the picture, coded 0..1, from which an edge counts as one
 
 
 def window_px(scene: Scene) -> int:
@@ -52,7 +54,8 @@ def refined(
     box = Rect(x, y, x + width, y + height).pad(reach).clip(whole).slices
     # about as the eye grades it: square root of linear light, at most 2
     guide = [
-        np.sqrt(np.clip(plate[box][..., c], 0, 4)).astype(np.float32) for c in range(3)
+        np.sqrt(np.clip(plate[box][..., c], 0, 4)).astype(np.float32)
+        for c in range(3)
     ]
     moved = _guided(
         mask[box], guide, radius_px, np.ascontiguousarray(valid[box], np.float32)
@@ -85,11 +88,15 @@ def _guided(
     m = [mean(c) for c in i]
     e = np.float32(_EPS)
     rr, gg, bb = (mean(i[c] * i[c]) - m[c] * m[c] + e for c in range(3))
-    rg, rb, gb = (mean(i[c] * i[d]) - m[c] * m[d] for c, d in ((0, 1), (0, 2), (1, 2)))
+    rg, rb, gb = (
+        mean(i[c] * i[d]) - m[c] * m[d] for c, d in ((0, 1), (0, 2), (1, 2))
+    )
     # inverse of the symmetric matrix [[rr, rg, rb], [rg, gg, gb], [rb, gb, bb]], by its adjugate
     arr, arg, arb = gg * bb - gb * gb, rb * gb - rg * bb, rg * gb - rb * gg
     agg, agb, abb = rr * bb - rb * rb, rb * rg - rr * gb, rr * gg - rg * rg
-    one = divide(1.0, np.maximum(rr * arr + rg * arg + rb * arb, e**3)).astype(np.float32)
+    one = divide(1.0, np.maximum(rr * arr + rg * arg + rb * arb, e**3)).astype(
+        np.float32
+    )
     for _ in range(_PASSES):
         mean_mask = mean(mask)
         cr, cg, cb = (mean(i[c] * mask) - m[c] * mean_mask for c in range(3))

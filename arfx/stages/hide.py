@@ -69,7 +69,9 @@ class Hide(Stage):
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
         return (
-            out if level == "draft" else out.pad(reach_px(scene)).clip(scene.camera.rect)
+            out
+            if level == "draft"
+            else out.pad(reach_px(scene)).clip(scene.camera.rect)
         )
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:

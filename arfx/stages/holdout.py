@@ -58,7 +58,9 @@ class Holdout(Stage):
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
         return (
-            out if level == "draft" else out.pad(reach_px(scene)).clip(scene.camera.rect)
+            out
+            if level == "draft"
+            else out.pad(reach_px(scene)).clip(scene.camera.rect)
         )
 
     def prepare(self, scene: Scene, level: str) -> np.ndarray:
@@ -74,7 +76,9 @@ class Holdout(Stage):
         tolerance = max(
             self.params.tolerance, 0.0 if depth is None else _SIGMAS * depth.noise
         )
-        dioptres = plane_dioptres(prepared, view.pose @ scene.world_from_anchor, around)
+        dioptres = plane_dioptres(
+            prepared, view.pose @ scene.world_from_anchor, around
+        )
         fraction = on_plane(part[Layer.REAL_DEPTH], dioptres, tolerance)
         if view.level != "draft" and (fraction < 1).any():
             fraction = refined(
@@ -86,7 +90,9 @@ class Holdout(Stage):
         return {Layer.SHADOW: Pixels(inside, shadow + (1 - shadow) * (1 - fraction))}
 
 
-def plane_dioptres(grid: np.ndarray, camera_from_plane: Pose, rect: Rect) -> np.ndarray:
+def plane_dioptres(
+    grid: np.ndarray, camera_from_plane: Pose, rect: Rect
+) -> np.ndarray:
     """(h, w) float32, 1/m: of the plane z = 0 along each pixel's axis; <= 0 where it is not
     in view.
 

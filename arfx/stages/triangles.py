@@ -27,7 +27,9 @@ class Triangles:
         from embreex.mesh_construction import TriangleMesh
 
         self._scene = rtcore_scene.EmbreeScene(robust=robust)
-        self._mesh = TriangleMesh(self._scene, np.ascontiguousarray(corners, np.float32))
+        self._mesh = TriangleMesh(
+            self._scene, np.ascontiguousarray(corners, np.float32)
+        )
 
     def first_hits(
         self, origins: np.ndarray, directions: np.ndarray
@@ -61,7 +63,9 @@ class Triangles:
         first : every so manieth direction is asked first, the others where those do not agree
         """
         if first > 1:
-            out = self.visible_fraction(points, directions[first // 2 :: first], normals)
+            out = self.visible_fraction(
+                points, directions[first // 2 :: first], normals
+            )
             mixed = (out > 0) & (out < 1)
             out[mixed] = self.visible_fraction(
                 points[mixed], directions, None if normals is None else normals[mixed]

@@ -106,7 +106,9 @@ def check_replaceable(folder: Path, overwrite: bool = True) -> None:
         raise ConfigError(f"{folder} is not a folder", "name another with -o")
     try:
         (folder / "truth.jsonl").stat()
-        job = tomllib.loads((folder / "job.toml").read_text(encoding="utf-8"))["input"]
+        job = tomllib.loads((folder / "job.toml").read_text(encoding="utf-8"))[
+            "input"
+        ]
         own = {job["clip"], job.get("depth")}
     except (OSError, ValueError, KeyError, TypeError):
         own = set()
@@ -135,7 +137,10 @@ def _fill(
         clip = files.enter_context(closing(ClipFile(folder / scene.clip.file, scene)))
         maps = None
         if scene.depth.file:
-            path, size = folder / scene.depth.file, (scene.clip.width, scene.clip.height)
+            path, size = (
+                folder / scene.depth.file,
+                (scene.clip.width, scene.clip.height),
+            )
             file = VideoFile(path, scene, "ffv1", size, "gray16le")
             maps = files.enter_context(closing(file))
         for n, time_s in enumerate(world.frame_times_s.tolist()):
@@ -189,7 +194,9 @@ def frame_truth(world: World, n: int) -> FrameTruth:
         ):  # of two prints of one marker the first
             continue
         camera_from_marker = camera_from_room @ pose
-        corners = world.camera.project(camera_from_marker.apply(placed.spec.corners_m))
+        corners = world.camera.project(
+            camera_from_marker.apply(placed.spec.corners_m)
+        )
         points = camera_from_marker.apply(marker_points(placed))
         pixels = world.camera.project(points)
         size = world.camera.width, world.camera.height
@@ -210,7 +217,8 @@ def frame_truth(world: World, n: int) -> FrameTruth:
             "room": row[:3].tolist(),
             "camera": (camera_from_room.rotation @ row[:3]).tolist(),
             "marker": {
-                k: (p.rotation.T @ row[:3]).tolist() for k, p in room_from_marker.items()
+                k: (p.rotation.T @ row[:3]).tolist()
+                for k, p in room_from_marker.items()
             },
             "rgb": row[3:6].tolist(),
             "angular_size_deg": float(2 * np.degrees(np.arctan(row[6]))),

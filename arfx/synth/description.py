@@ -160,9 +160,9 @@ class Lens(Settings):
 
 
 class Texture(Settings):
-    kind: Literal["plain", "wood", "carpet", "noise", "checker", "poster", "image"] = (
-        "plain"
-    )
+    kind: Literal[
+        "plain", "wood", "carpet", "noise", "checker", "poster", "image"
+    ] = "plain"
     # linear albedo 0..1, or the darker of two
     colour: Colour = (0.5, 0.5, 0.5)
     second: Colour = (0.7, 0.7, 0.7)
@@ -351,7 +351,9 @@ class SceneFile(Settings):
             raise ValueError("lens.focus_m is needed with an aperture")
         for lamp in self.light.lamps:
             if list(lamp.brightness) != sorted(lamp.brightness, key=lambda k: k[0]):
-                raise ValueError("light.lamps: brightness must be in the order of time")
+                raise ValueError(
+                    "light.lamps: brightness must be in the order of time"
+                )
         names = {n for p in self.objects for n in (p.name, p.key) if n}
         for p in self.objects:
             if p.attached_to and p.attached_to not in names:

@@ -20,7 +20,9 @@ from arfx.synth.description import SceneFile
 from arfx.synth.truth import DEPTH_UNIT_M
 
 CLOCK_HZ = 90_000
-_STEP = 0.05  # of the distance: surfaces that are farther apart have an edge between them
+_STEP = (
+    0.05  # of the distance: surfaces that are farther apart have an edge between them
+)
 _HOLE_PX = 4.0  # sigma of the noise whose highest parts are holes
 
 
@@ -108,7 +110,9 @@ class ClipFile(VideoFile):
             wide = wide[:, ::2]
             chroma = (wide[::2] + wide[1::2]) / 2
             shape = luma.shape[0] * 3 // 2, luma.shape[1]
-        planes = np.concatenate([p.ravel() for p in (luma, *np.moveaxis(chroma, -1, 0))])
+        planes = np.concatenate(
+            [p.ravel() for p in (luma, *np.moveaxis(chroma, -1, 0))]
+        )
         return np.clip(np.rint(planes), 0, 255).astype(np.uint8).reshape(shape)
 
     def close(self) -> None:
@@ -124,7 +128,10 @@ class ClipFile(VideoFile):
         frame = av.AudioFrame.from_ndarray(wave[None], "fltp", "mono")
         frame.sample_rate, frame.time_base = 48_000, Fraction(1, 48_000)
         frame.pts = round(scene.clip.start_s * 48_000)
-        for part in (frame, None):  # the encoder cuts it and turns it into what it takes
+        for part in (
+            frame,
+            None,
+        ):  # the encoder cuts it and turns it into what it takes
             self._out.mux(self._tone.encode(part))
 
 
@@ -141,7 +148,9 @@ def measured_steps(scene: SceneFile, depth_m: np.ndarray, frame: int) -> np.ndar
     asked = scene.depth
     rng = np.random.default_rng([scene.seed, 16, frame])
     steps = np.rint(
-        depth_m * (1 + asked.noise * rng.standard_normal(depth_m.shape)) / DEPTH_UNIT_M
+        depth_m
+        * (1 + asked.noise * rng.standard_normal(depth_m.shape))
+        / DEPTH_UNIT_M
     )
     good = (depth_m > 0) & (steps > 0) & (steps < np.iinfo(np.uint16).max)
     if asked.edge_px > 0:

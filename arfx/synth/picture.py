@@ -34,7 +34,9 @@ class Picture:
         self.world = world
         self.shape = world.camera.height, world.camera.width
         self.side = samples or scene.samples
-        if samples is None and (scene.lens.aperture_m > 0 or scene.lens.shutter_s > 0):
+        if samples is None and (
+            scene.lens.aperture_m > 0 or scene.lens.shutter_s > 0
+        ):
             self.side = max(
                 self.side, 4
             )  # fewer than 16 moments or lens points leave separate copies of an edge
@@ -116,7 +118,10 @@ class Picture:
         if lens.aperture_m > 0:
             radius = 0.5 * lens.aperture_m * np.sqrt(_noise(seed, 2 * number))
             angle = 2 * np.pi * _noise(seed, 2 * number + 1)
-            starts[:, 0], starts[:, 1] = radius * np.cos(angle), radius * np.sin(angle)
+            starts[:, 0], starts[:, 1] = (
+                radius * np.cos(angle),
+                radius * np.sin(angle),
+            )
             ahead = ahead - starts[:, :2] / (lens.focus_m or 1.0)
         turn = pose.rotation.T
         return Rays(
@@ -206,7 +211,9 @@ def expose(
             rng, signal.shape, scene.hidden.noise_correlation_px
         )
     return (
-        Transfer(scene.hidden.transfer).encode(np.clip(signal, 0, 1)).astype(np.float32)
+        Transfer(scene.hidden.transfer)
+        .encode(np.clip(signal, 0, 1))
+        .astype(np.float32)
     )
 
 
@@ -219,6 +226,8 @@ def unit_noise(
         return white
     side = 2 * max(int(np.ceil(4 * correlation_px)), 1) + 1
     kernel = cv2.getGaussianKernel(side, correlation_px)
-    blurred = cv2.sepFilter2D(white, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT)
+    blurred = cv2.sepFilter2D(
+        white, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT
+    )
     # variance of a separable filter: (sum k²)², its root
     return np.asarray(blurred / np.float32((kernel**2).sum()))

@@ -30,7 +30,9 @@ _GLOSS_EXPONENT = 40
 _LEAST_TEXELS = (
     1e-4  # half a box's side, so that its mean is a quotient of numbers above 0
 )
-_NUMBERS = 65521  # below 2^16, prime: of two surfaces under many lights few get the same
+_NUMBERS = (
+    65521  # below 2^16, prime: of two surfaces under many lights few get the same
+)
 
 
 class Rays(NamedTuple):
@@ -99,7 +101,9 @@ def _intersect(start, towards, rects, spheres, any_hit):
         if i < rects.shape[0]:
             distance = _rectangle_distance(start, towards, rects, i, best)
         else:
-            distance = _sphere_distance(start, towards, spheres, i - rects.shape[0], best)
+            distance = _sphere_distance(
+                start, towards, spheres, i - rects.shape[0], best
+            )
         if distance < best:
             best, index = distance, i
             if any_hit:
@@ -199,8 +203,14 @@ def shade(rays: Rays, room: Room, radiance, numbers):
         if i < rects.shape[0]:
             texture = room.textures[int(rects[i, 14])]
             spans = vector(rays.spans[n, 0]), vector(rays.spans[n, 1])
-            albedo = _albedo(hit, towards, distance, spans, rects[i], texture, room.table)
-            normal, gloss, whole = vector(rects[i, 9:]), rects[i, 16], texture[3] > 0.0
+            albedo = _albedo(
+                hit, towards, distance, spans, rects[i], texture, room.table
+            )
+            normal, gloss, whole = (
+                vector(rects[i, 9:]),
+                rects[i, 16],
+                texture[3] > 0.0,
+            )
             if dot(towards, normal) > 0.0:
                 normal = scaled(-1.0, normal)
         else:
@@ -213,7 +223,9 @@ def shade(rays: Rays, room: Room, radiance, numbers):
             lamp, rgb, seen = vector(lights[k]), vector(lights[k, 3:]), 0.0
             facing = dot(normal, lamp)
             if facing > 0.0:
-                seen = _visible(point, lamp, lights[k, 6], rects, spheres, rays.turns[n])
+                seen = _visible(
+                    point, lamp, lights[k, 6], rects, spheres, rays.turns[n]
+                )
             number = 2 * number + (seen > 0.0)
             whole = whole and (seen == 0.0 or seen == 1.0)
             light = shifted(light, seen * facing, rgb)

@@ -24,7 +24,9 @@ def write_model(name: str, path: Path) -> int:
     """Write a shape as GLB; returns its number of faces. icosphereN has 20·4^N.
     Raises ConfigError for an unknown name."""
     if name not in SHAPES:
-        raise ConfigError(f"there is no shape {name!r}", f"one of {', '.join(SHAPES)}")
+        raise ConfigError(
+            f"there is no shape {name!r}", f"one of {', '.join(SHAPES)}"
+        )
     import trimesh
 
     scene = trimesh.Scene([_mesh(part) for part in SHAPES[name]])

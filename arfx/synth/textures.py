@@ -25,7 +25,10 @@ _ROOMS = tomllib.loads(Path(__file__).with_name("rooms.toml").read_text("utf-8")
 
 
 def texture_albedo(
-    texture: Texture, size_m: tuple[float, float], seed: int, folder: Path | None = None
+    texture: Texture,
+    size_m: tuple[float, float],
+    seed: int,
+    folder: Path | None = None,
 ) -> np.ndarray:
     """(rows, columns, 3) float32 linear albedo 0..1 that covers size_m = (width, height),
     metres; row 0 is y's upper end. Raises InputError if a picture file cannot be read."""
@@ -44,7 +47,11 @@ def texture_albedo(
     rng = np.random.default_rng([seed, zlib.crc32(texture.kind.encode())])
     texel = max(max(size_m) / 1024, texture.feature_m / 6)
     w, h = (max(round(side / texel), 2) for side in size_m)
-    shape, cell, tuft = (h, w), texture.feature_m / texel, texture.feature_m / texel / 2
+    shape, cell, tuft = (
+        (h, w),
+        texture.feature_m / texel,
+        texture.feature_m / texel / 2,
+    )
     if texture.kind == "wood":
         mix = _wood(rng, shape, cell)
     elif texture.kind == "poster":
@@ -90,7 +97,9 @@ def _octaves(
     return np.clip(0.5 + 0.25 * spread, 0, 1)
 
 
-def _wood(rng: np.random.Generator, shape: tuple[int, int], cell: float) -> np.ndarray:
+def _wood(
+    rng: np.random.Generator, shape: tuple[int, int], cell: float
+) -> np.ndarray:
     """Boards along x: grain stretched along the board, another tone and shift for each,
     dark joints.
     """
@@ -103,13 +112,17 @@ def _wood(rng: np.random.Generator, shape: tuple[int, int], cell: float) -> np.n
     tone = rng.random(boards).astype(np.float32)[number]
     shift = rng.integers(0, w, boards)[number]
     along = (np.arange(w) - shift[:, None]) % w
-    grain = np.take_along_axis(0.55 * wave + 0.25 * fine, along, 1) + 0.3 * tone[:, None]
+    grain = (
+        np.take_along_axis(0.55 * wave + 0.25 * fine, along, 1) + 0.3 * tone[:, None]
+    )
     grain[1:][np.diff(number) > 0] *= 0.35
     grain[np.arange(h), shift] *= 0.4
     return np.clip(grain, 0, 1)
 
 
-def _posters(rng: np.random.Generator, shape: tuple[int, int], cell: float) -> np.ndarray:
+def _posters(
+    rng: np.random.Generator, shape: tuple[int, int], cell: float
+) -> np.ndarray:
     """A wall with coloured posters of rectangles, discs and lines: strong corners for flow."""
     h, w = shape
     base = 0.55 + 0.12 * (_octaves(rng, shape, cell, cell, 3) - 0.5)
@@ -122,7 +135,10 @@ def _posters(rng: np.random.Generator, shape: tuple[int, int], cell: float) -> n
         )
         for _ in range(7):
             colour = rng.uniform(0.03, 0.9, 3).tolist()
-            cx, cy = x + int(rng.integers(0, pw + 1)), y + int(rng.integers(0, ph + 1))
+            cx, cy = (
+                x + int(rng.integers(0, pw + 1)),
+                y + int(rng.integers(0, ph + 1)),
+            )
             r = max(int(cell * rng.uniform(0.3, 1.4)), 1)
             if rng.random() < 0.5:
                 cv2.circle(wall, (cx, cy), r, colour, -1)
@@ -139,7 +155,9 @@ def sheet_albedo(
     : ink albedo at the right edge, growing linearly from the marker's at the left (worn
     print); None = even. Returns (rows, columns, 1) float64."""
     cells = marker_cells(marker.spec.family, marker.spec.id) ^ marker.inverted
-    texels = 4  # a margin of quarters of a cell is exact; finer ones are rounded to it
+    texels = (
+        4  # a margin of quarters of a cell is exact; finer ones are rounded to it
+    )
     margin = round(marker.margin_cells * texels)
     big = np.kron(cells, np.ones((texels, texels), bool))
     white = np.pad(big, margin, constant_values=not marker.inverted)
@@ -160,7 +178,9 @@ def environment_picture(source: str | Path, folder: Path | None = None) -> np.nd
     picture = decode_picture(path, "image", cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
     rgb = picture[..., ::-1].astype(float)
     if not np.isfinite(rgb).all() or rgb.min() < 0:
-        raise InputError(f"environment {path} holds values that are not finite and >= 0")
+        raise InputError(
+            f"environment {path} holds values that are not finite and >= 0"
+        )
     return cv2.resize(rgb, (256, 128), interpolation=cv2.INTER_AREA)
 
 

@@ -32,7 +32,9 @@ def radiance(rays: Rays, room: Room) -> tuple[np.ndarray, np.ndarray]:
     return light, numbers
 
 
-def surfaces(rays: np.ndarray, room: Room, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
+def surfaces(
+    rays: np.ndarray, room: Room, pose: Pose
+) -> tuple[np.ndarray, np.ndarray]:
     """(depth (h, w) along the axis, object number (h, w) uint8) of the first surface along
     rays (h, w, 2), camera directions; 0 = nothing. pose : room_from_camera
     """

@@ -78,7 +78,10 @@ class Truth:
 
 
 def write_truth(path: Path, truth: Truth) -> None:
-    lines = [json.dumps(truth.header), *(json.dumps(f.to_json()) for f in truth.frames)]
+    lines = [
+        json.dumps(truth.header),
+        *(json.dumps(f.to_json()) for f in truth.frames),
+    ]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

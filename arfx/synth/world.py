@@ -50,7 +50,9 @@ class World:
         self.scene = scene
         self.camera = true_camera(scene)
         self.frame_times_s = _frame_times(scene)
-        self.shots = np.repeat(np.arange(len(scene.shot)), [s.frames for s in scene.shot])
+        self.shots = np.repeat(
+            np.arange(len(scene.shot)), [s.frames for s in scene.shot]
+        )
         self.room = _room(scene, folder)
 
     @property
@@ -261,12 +263,15 @@ def room_from_object(
     """Pose of an object in its parent's axes (the room's, if it is attached to nothing)."""
     motion = placed.motion
     pose = Pose(
-        rotation_from_euler_deg(*placed.rotate_deg), np.asarray(placed.position_m, float)
+        rotation_from_euler_deg(*placed.rotate_deg),
+        np.asarray(placed.position_m, float),
     )
     if motion.kind == "still":
         return pose
     if motion.kind == "keys":
-        rotation = rotation_from_euler_deg(*_between(motion.keys, "rotate_deg", time_s))
+        rotation = rotation_from_euler_deg(
+            *_between(motion.keys, "rotate_deg", time_s)
+        )
         pose = Pose(rotation, _between(motion.keys, "position_m", time_s))
     elif motion.kind == "turn":
         share = _share(time_s, duration_s)
@@ -275,9 +280,13 @@ def room_from_object(
         pose = pose @ Pose.from_rotvec(axis * angle, np.zeros(3))
     else:
         a = 2 * np.pi * time_s / motion.period_s
-        golden = 0.6180339887498949 * a  # incommensurate: the tilts never repeat together
+        golden = (
+            0.6180339887498949 * a
+        )  # incommensurate: the tilts never repeat together
         about_x = rotation_from_euler_deg(motion.tilt_deg * np.sin(a), 0.0, 0.0)
-        about_y = rotation_from_euler_deg(0.0, motion.tilt_deg * np.sin(golden + 1), 0.0)
+        about_y = rotation_from_euler_deg(
+            0.0, motion.tilt_deg * np.sin(golden + 1), 0.0
+        )
         travel = np.array([np.sin(golden), np.sin(a + 2), 0.5 * np.sin(1.3 * a)])
         pose = pose @ Pose(about_x @ about_y, motion.travel_m * travel)
     tremor = smooth_noise(seed, f"tremor {name}", time_s, 6.0, 6)
@@ -295,5 +304,7 @@ def _between(keys: tuple[Key, ...], name: str, time_s: float) -> np.ndarray:
     slopes = np.zeros_like(values)
     slopes[1:-1] = (values[2:] - values[:-2]) / (times[2:] - times[:-2])[:, None]
     return np.asarray(
-        CubicHermiteSpline(times, values, slopes)(np.clip(time_s, times[0], times[-1]))
+        CubicHermiteSpline(times, values, slopes)(
+            np.clip(time_s, times[0], times[-1])
+        )
     )

@@ -54,7 +54,9 @@ def command(inputs: tuple[str, ...], dry_run: bool, **given: Any) -> None:
         given |= {"clip": None, "output": None}
         jobs = wait_for(
             "table",
-            lambda: batch_jobs(inputs, lambda files: job_config(given, files), pattern),
+            lambda: batch_jobs(
+                inputs, lambda files: job_config(given, files), pattern
+            ),
             progress,
         )
 
@@ -70,9 +72,13 @@ def command(inputs: tuple[str, ...], dry_run: bool, **given: Any) -> None:
                     f" {row['seconds']:.1f} s, to {row['output']}"
                 )
 
-        document = (plan_batch if dry_run else run_batch)(jobs, options, started, ended)
+        document = (plan_batch if dry_run else run_batch)(
+            jobs, options, started, ended
+        )
     if not wrote_json(document):
-        template = "measure/batch_plans.jinja" if dry_run else "measure/batch_table.jinja"
+        template = (
+            "measure/batch_plans.jinja" if dry_run else "measure/batch_table.jinja"
+        )
         print_table(template, words=2, d=document)
     if not dry_run:
         say(f"summary: {(options.report or home_of(jobs)) / 'batch.html'}")

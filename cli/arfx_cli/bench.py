@@ -23,7 +23,9 @@ def parse_size(text: str) -> tuple[int, int]:
 
     m = re.fullmatch(r"\s*(\d{1,6})\s*[x×X]\s*(\d{1,6})\s*", text)
     if not m:
-        raise ConfigError(f"size {text!r} is not WIDTHxHEIGHT", "for example 1280x720")
+        raise ConfigError(
+            f"size {text!r} is not WIDTHxHEIGHT", "for example 1280x720"
+        )
     return int(m[1]), int(m[2])
 
 

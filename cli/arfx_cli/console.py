@@ -27,8 +27,12 @@ _KINDS: dict[str, click.ParamType] = {
     "existing-folder": click.Path(path_type=Path, file_okay=False, exists=True),
     "number": click.FLOAT,
 }
-_OUTPUT = "arfx_cli.output"  # in the context of a command with --json: standard output
-_LEVEL = "arfx_cli.level"  # in the context of the running command: -1 quiet, 0, 1 verbose
+_OUTPUT = (
+    "arfx_cli.output"  # in the context of a command with --json: standard output
+)
+_LEVEL = (
+    "arfx_cli.level"  # in the context of the running command: -1 quiet, 0, 1 verbose
+)
 _PHASES = {"compile": "compiling kernels for this processor, once", **WAITS}
 
 
@@ -43,7 +47,9 @@ class Command(click.Command):
             count, last = order.count(option), used.get(option.name)
             if count < 2 or option.multiple or option.is_flag:
                 continue
-            values = [value for w, value in pairwise([*words, ""]) if w in option.opts]
+            values = [
+                value for w, value in pairwise([*words, ""]) if w in option.opts
+            ]
             lost = "".join(f", not {value}" for value in values if value != last)
             if lost or len(values) < count:  # those of -oNAME
                 note(
@@ -78,7 +84,10 @@ def parameter(name: str, kind: Any = None, **words: Any) -> click.Parameter:
 def arfx_command(name: str, *first: click.Parameter) -> Callable[..., Command]:
     """A command with these parameters, then its own, then those of every command."""
     shared = (*TABLE[name].get("also", ()), "json", "verbose", "quiet")
-    rows = [*TABLE[name].get("parameter", ()), *(TABLE["shared"][key] for key in shared)]
+    rows = [
+        *TABLE[name].get("parameter", ()),
+        *(TABLE["shared"][key] for key in shared),
+    ]
     params = [*first, *(parameter(**row) for row in rows)]
     return click.command(cls=Command, params=params)
 
@@ -175,7 +184,9 @@ class Progress:
         self._unit = unit
         self._quiet = quiet()
         self._bars: Any = None
-        self._shown: dict[str, Any] = {}  # phase -> its bar, or the tenth that was said
+        self._shown: dict[
+            str, Any
+        ] = {}  # phase -> its bar, or the tenth that was said
         self._title = ""
 
     def __enter__(self) -> Progress:
@@ -220,7 +231,9 @@ class Progress:
         if tenth != self._shown.get(phase) and (done or total):
             self._shown[phase] = tenth
             unit = "seconds" if waits else self._unit
-            amount = f"{done}/{counted(total, unit)}" if total else counted(done, unit)
+            amount = (
+                f"{done}/{counted(total, unit)}" if total else counted(done, unit)
+            )
             say(f"{words}: {f'{done} of {total}' if phase == 'compile' else amount}")
 
 

@@ -76,7 +76,9 @@ def command(folder: Path, overwrite: bool) -> None:
         "report": "report/report.html",
     }
     say_job(report)
-    files = {what.replace(" ", "_"): str(folder / name) for what, name in written.items()}
+    files = {
+        what.replace(" ", "_"): str(folder / name) for what, name in written.items()
+    }
     if wrote_json(files | {"job": report}):
         return
     for what, name in written.items():

@@ -45,7 +45,9 @@ def command() -> None:
             missing = f" Missing, not essential: {broken}." if broken else ""
             click.echo(f"Clips can be processed here.{missing}")
     if not works:
-        wrong = [c.name for c in checks if c.essential and not c.ok] or ["every renderer"]
+        wrong = [c.name for c in checks if c.essential and not c.ok] or [
+            "every renderer"
+        ]
         raise RenderError(
             f"arfx cannot work here: {', '.join(wrong)}",
             "the fix is printed under each check",

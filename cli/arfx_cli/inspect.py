@@ -7,7 +7,13 @@ from typing import Any
 
 import click
 
-from arfx_cli.console import arfx_command, detail_template, print_table, tell, wrote_json
+from arfx_cli.console import (
+    arfx_command,
+    detail_template,
+    print_table,
+    tell,
+    wrote_json,
+)
 
 
 @arfx_command("inspect")

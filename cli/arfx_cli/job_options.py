@@ -66,7 +66,9 @@ def job_config(given: dict[str, Any], more: Sequence[JobFile] = ()) -> JobConfig
     places = {
         "light": [("light", "given")],
         "environment": [("light", "environment")],
-        "formula": [(n, "formula") for n, formulas in kinds.items() if len(formulas) > 1],
+        "formula": [
+            (n, "formula") for n, formulas in kinds.items() if len(formulas) > 1
+        ],
     }
     for option, paths in places.items():
         if value := given[option]:

@@ -24,7 +24,9 @@ def command(focal: str, fnumber: float, distance: str, coc: str) -> None:
     from arfx.papers.s2_lens import printed_limits
 
     lens = Lens(
-        1e3 * length_m(focal, "--focal"), fnumber, 1e3 * length_m(distance, "--distance")
+        1e3 * length_m(focal, "--focal"),
+        fnumber,
+        1e3 * length_m(distance, "--distance"),
     )
     coc_mm = 1e3 * length_m(coc, "--coc")
     corrected = asdict(depth_of_field(lens, coc_mm))

@@ -69,7 +69,8 @@ def frame_by_frame(plans: Sequence[FramePlan]) -> Iterator[str]:
         skipped = [f"no {s.stage} ({s.reason})" for s in plan.skipped]
         return "; ".join(
             [
-                ", ".join(f"{s.stage} {s.level}" for s in plan.steps) or "nothing runs",
+                ", ".join(f"{s.stage} {s.level}" for s in plan.steps)
+                or "nothing runs",
                 *skipped,
             ]
         )

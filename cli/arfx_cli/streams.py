@@ -49,7 +49,9 @@ def make_safe() -> None:
             os.open(os.devnull, os.O_RDWR)
     _output = _Lenient(1, "wb", closefd=False)
     sys.stdout = _over(_output, sys.stdout, line_buffering=_output.isatty())
-    sys.stderr = _over(_Lenient(2, "wb", closefd=False), sys.stderr, line_buffering=True)
+    sys.stderr = _over(
+        _Lenient(2, "wb", closefd=False), sys.stderr, line_buffering=True
+    )
 
 
 def _over(raw: _Lenient, before: Any, line_buffering: bool) -> Any:

@@ -50,11 +50,14 @@ def command(scene: Path, folder: Path, kinds: str | None, overwrite: bool) -> No
     say(f"{len(truth.frames)} frames in {folder}: {', '.join(files)}")
     keys = sorted({key for f in truth.frames for key in f.markers})
     seen = {
-        key: [f.markers[key] for f in truth.frames if key in f.markers] for key in keys
+        key: [f.markers[key] for f in truth.frames if key in f.markers]
+        for key in keys
     }
     detail_template(
         "measure/synth_detail.jinja",
-        sizes={p.name: p.stat().st_size for p in sorted(folder.iterdir()) if p.is_file()},
+        sizes={
+            p.name: p.stat().st_size for p in sorted(folder.iterdir()) if p.is_file()
+        },
         markers=seen,
         frames=len(truth.frames),
     )

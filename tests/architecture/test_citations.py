@@ -39,7 +39,9 @@ def texts() -> dict[str, str]:
 @cache
 def anchors(document: Path) -> set[str]:
     """Of its headings, as GitHub makes them."""
-    found = re.findall(r"^#+ (.+)$", document.read_text(encoding="utf-8"), re.MULTILINE)
+    found = re.findall(
+        r"^#+ (.+)$", document.read_text(encoding="utf-8"), re.MULTILINE
+    )
     return {
         re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in found
     }
@@ -69,7 +71,9 @@ def missing(text: str, documents: Iterable[str]) -> list[str]:
 def _has(file: Path, test: str) -> bool:
     return (
         file.is_file()
-        and re.search(rf"^def {test}\(", file.read_text(encoding="utf-8"), re.MULTILINE)
+        and re.search(
+            rf"^def {test}\(", file.read_text(encoding="utf-8"), re.MULTILINE
+        )
         is not None
     )
 

@@ -33,7 +33,9 @@ def test_every_command_has_help_with_a_real_example(name: str) -> None:
 def test_every_setting_is_documented(section: str) -> None:
     for kind in parameters()[section].values():
         for key, field in kind.model_fields.items():
-            assert key == "formula" or field.description, f"{section}.{key} has no text"
+            assert key == "formula" or field.description, (
+                f"{section}.{key} has no text"
+            )
             bounded = {type(limit) for limit in field.metadata} & {Ge, Gt}
             assert bounded or field.annotation not in (int, float), (
                 f"{section}.{key}: limits"
@@ -72,7 +74,9 @@ def test_readme_names_only_commands_that_exist() -> None:
     for name in re.findall(r"^arfx (\w+)", text, re.MULTILINE):
         assert name in COMMANDS
     for target in re.findall(r"^make (\w+)", text, re.MULTILINE):
-        assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(), re.MULTILINE)
+        assert re.search(
+            rf"^{target}:", (ROOT / "Makefile").read_text(), re.MULTILINE
+        )
     for link in re.findall(r"\]\((?!https:)([^)#]+)\)", text):
         assert (ROOT / link).exists(), f"README links to {link}"
 
@@ -85,7 +89,9 @@ _LONGEST = 25  # words of a sentence on the first screen
 
 
 def test_readme_begins_with_short_sentences() -> None:
-    first = "\n".join((ROOT / "README.md").read_text(encoding="utf-8").splitlines()[:40])
+    first = "\n".join(
+        (ROOT / "README.md").read_text(encoding="utf-8").splitlines()[:40]
+    )
     prose = re.sub(
         r"^```.*?^```|^\|.*?$|^#.*?$", ".", first, flags=re.DOTALL | re.MULTILINE
     )
@@ -119,9 +125,9 @@ def test_no_machine_paths_in_tracked_files() -> None:
             and path.is_file()
             and path.name != Path(__file__).name
         ):
-            assert not wrong.search(path.read_text(encoding="utf-8", errors="ignore")), (
-                name
-            )
+            assert not wrong.search(
+                path.read_text(encoding="utf-8", errors="ignore")
+            ), name
 
 
 def test_every_sample_scene_is_complete() -> None:

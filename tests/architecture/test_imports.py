@@ -37,7 +37,16 @@ ALLOWED["measure"] = ALLOWED["run"] | {"run"}
 ALLOWED["reproduce"] = ALLOWED["measure"] | {"measure"}
 ALLOWED["arfx_cli"] = ALLOWED["reproduce"] | {"reproduce"}
 CORE_LIBRARIES = {"cv2", "numpy", "pydantic", "pydantic_core", "scipy"}
-EMPTY_NAMES = {"utils", "util", "helpers", "helper", "manager", "base", "misc", "common"}
+EMPTY_NAMES = {
+    "utils",
+    "util",
+    "helpers",
+    "helper",
+    "manager",
+    "base",
+    "misc",
+    "common",
+}
 # Lines of those that are still to be split: they may only get shorter.
 LONG = {
     "arfx/analyse/depth/planes.py": 416,
@@ -144,7 +153,9 @@ def test_no_modules_import_each_other() -> None:
             if isinstance(n, ast.ImportFrom) and n.module
             for a in n.names
         }
-        names = {full if full in sources else full.rpartition(".")[0] for full in found}
+        names = {
+            full if full in sources else full.rpartition(".")[0] for full in found
+        }
         uses[name] = (names & sources.keys()) - {name}
     assert not circle(uses)
 
@@ -185,6 +196,8 @@ def test_scipy_is_imported_where_it_is_called() -> None:
     early = [
         p.name
         for p in files
-        if re.search(r"^(from|import) scipy", p.read_text(encoding="utf-8"), re.MULTILINE)
+        if re.search(
+            r"^(from|import) scipy", p.read_text(encoding="utf-8"), re.MULTILINE
+        )
     ]
     assert len(files) > 100 and not early

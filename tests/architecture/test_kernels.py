@@ -12,13 +12,17 @@ COMPILED = ("kernel", "njit", "line_kernel")
 
 def too_many(source: str) -> list[str]:
     """Compiled functions of more than MOST parameters."""
-    functions = [n for n in ast.walk(ast.parse(source)) if isinstance(n, ast.FunctionDef)]
+    functions = [
+        n for n in ast.walk(ast.parse(source)) if isinstance(n, ast.FunctionDef)
+    ]
     compiled = [
         f
         for f in functions
         if any(ast.unparse(d).startswith(COMPILED) for d in f.decorator_list)
     ]
-    return [f.name for f in compiled if len(f.args.args) + len(f.args.kwonlyargs) > MOST]
+    return [
+        f.name for f in compiled if len(f.args.args) + len(f.args.kwonlyargs) > MOST
+    ]
 
 
 def test_kernels_take_at_most_ten_arguments() -> None:

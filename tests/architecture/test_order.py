@@ -33,11 +33,15 @@ def test_each_process_gets_long_files_first_and_short_ones_to_the_end(
     for k in range(processes):  # as pytest-xdist shares them out
         count = (len(items) - done) // (processes - k)
         short = ["short" in item.path.name for item in ordered[done : done + count]]
-        assert not short[0] and short[-100:] == [True] * 100 and short == sorted(short)
+        assert (
+            not short[0] and short[-100:] == [True] * 100 and short == sorted(short)
+        )
         seen += dict.fromkeys(
             str(i.path)
             for i, s in zip(ordered[done : done + count], short, strict=True)
             if not s
         )
         done += count
-    assert len(seen) == len(set(seen)) == len(LONG), "no file is shared by two processes"
+    assert len(seen) == len(set(seen)) == len(LONG), (
+        "no file is shared by two processes"
+    )

@@ -88,7 +88,9 @@ def test_a_second_call_installs_nothing(
     make_venv.main()
     assert calls == ["create", "install", "install"], "kept, and brought up to date"
     stamp = make_venv.STAMP
-    stamp.write_text(json.dumps({**json.loads(stamp.read_text()), "root": "/elsewhere"}))
+    stamp.write_text(
+        json.dumps({**json.loads(stamp.read_text()), "root": "/elsewhere"})
+    )
     (tmp_path / ".venv" / "bin" / "python").unlink()
     (tmp_path / ".venv" / "bin").rmdir()
     make_venv.main()
@@ -138,7 +140,9 @@ def test_a_folder_that_is_no_environment_is_left_alone(
     assert (tmp_path / ".venv" / "precious").exists()
 
 
-def test_pip_wheels_are_read_from_both_kinds_of_index_page(make_venv: ModuleType) -> None:
+def test_pip_wheels_are_read_from_both_kinds_of_index_page(
+    make_venv: ModuleType,
+) -> None:
     minor = sys.version_info[1]
     files = [
         ("pip-23.1-py3-none-any.whl", ">=3.7"),

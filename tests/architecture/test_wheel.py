@@ -47,7 +47,10 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
     names = project_files()
     for name in names:
-        if not name.startswith(("sample_scenes/", "tests/")) and (ROOT / name).is_file():
+        if (
+            not name.startswith(("sample_scenes/", "tests/"))
+            and (ROOT / name).is_file()
+        ):
             (source / name).parent.mkdir(parents=True, exist_ok=True)
             (source / name).write_bytes((ROOT / name).read_bytes())
     command = [
@@ -120,7 +123,9 @@ def test_installed_it_has_no_package_cli_and_finds_its_presets(
         " print(sorted(presets()))"
     )
     assert (
-        got.returncode == 0 and str(tmp_path) in got.stdout and "preview" in got.stdout
+        got.returncode == 0
+        and str(tmp_path) in got.stdout
+        and "preview" in got.stdout
     ), got.stderr
 
 
@@ -163,7 +168,9 @@ for kernel in kernels:
     environment = {
         k: v for k, v in os.environ.items() if not k.startswith(("NUMBA_", "PYTHON"))
     }
-    environment |= dict.fromkeys(("HOME", "XDG_CACHE_HOME", "LOCALAPPDATA"), str(aside))
+    environment |= dict.fromkeys(
+        ("HOME", "XDG_CACHE_HOME", "LOCALAPPDATA"), str(aside)
+    )
     for how in ("writable", "read-only"):
         command = [
             sys.executable,

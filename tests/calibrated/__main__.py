@@ -30,7 +30,9 @@ def main() -> int:
     )
     parser.add_argument("--only", choices=(READINGS, PIXELS))
     parser.add_argument(
-        "--case", default="", help="cases whose name holds this, for example 'two lamps'"
+        "--case",
+        default="",
+        help="cases whose name holds this, for example 'two lamps'",
     )
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "calibrated")
@@ -38,7 +40,9 @@ def main() -> int:
     given.output.mkdir(parents=True, exist_ok=True)
     every = [clip for part in (READINGS, PIXELS) for clip in asked(part)]
     wanted = [
-        c for c in every if given.only in (None, c[0]) and given.case in CASES[c[1]].name
+        c
+        for c in every
+        if given.only in (None, c[0]) and given.case in CASES[c[1]].name
     ]
     file = given.output / "rows.json"
     kept: dict[Key, Row] = {}
@@ -47,7 +51,9 @@ def main() -> int:
             (r.part, r.case, r.seed): r
             for r in map(from_json, json.loads(file.read_text(encoding="utf-8")))
         }
-    with ProcessPoolExecutor(given.jobs, multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(
+        given.jobs, multiprocessing.get_context("spawn")
+    ) as pool:
         for r in pool.map(row, wanted):
             kept[r.part, r.case, r.seed] = r
             told = ", ".join(
@@ -63,7 +69,9 @@ def main() -> int:
         for part, i, seed in every
         if (key := (part, CASES[i].name, seed)) in kept
     ]
-    file.write_text(json.dumps([to_json(r) for r in rows], indent=1), encoding="utf-8")
+    file.write_text(
+        json.dumps([to_json(r) for r in rows], indent=1), encoding="utf-8"
+    )
     text = markdown(rows)
     (given.output / "table.md").write_text(text, encoding="utf-8")
     (given.output / "errors.png").write_bytes(plot(rows))

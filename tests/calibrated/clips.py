@@ -22,7 +22,9 @@ def asked(part: str) -> list[tuple[str, int, int]]:
     """(part, number of the case, seed) of every clip."""
     if part == READINGS:
         return [
-            (part, i, seed) for i, case in enumerate(CASES) for seed in range(case.clips)
+            (part, i, seed)
+            for i, case in enumerate(CASES)
+            for seed in range(case.clips)
         ]
     return [
         (part, i, FIRST_WHOLE + k)

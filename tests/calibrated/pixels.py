@@ -47,7 +47,10 @@ def scene(clip: Clip) -> SceneFile:
         "clip": {"width": WIDTH, "height": HEIGHT, "fps": FPS, "crf": 14},
         "lens": {"fov_deg": 45, "softness_px": 0.4},
         "light": {"ambient_rgb": [0, 0, 0], "lamps": _lamps(clip)},
-        "exposure": {"gain": float(np.exp(np.log(clip.gain).mean())), "bias": clip.bias},
+        "exposure": {
+            "gain": float(np.exp(np.log(clip.gain).mean())),
+            "bias": clip.bias,
+        },
         "noise": {"read": 0.001 * clip.noise_grey, "shot": 5e-5 * clip.noise_grey**2},
         "hidden": {"gloss": clip.gloss, "drift_stops": clip.drift[0]},
     }
@@ -97,7 +100,8 @@ def scene(clip: Clip) -> SceneFile:
         ]
         path = {"kind": "keys", "keys": keys, "hand_deg": 0.2, "hand_m": 0.001}
     return SceneFile.model_validate(
-        tree | {"marker": prints, "shot": [{"frames": len(clip.times_s), "path": path}]}
+        tree
+        | {"marker": prints, "shot": [{"frames": len(clip.times_s), "path": path}]}
     )
 
 
@@ -138,7 +142,10 @@ def _lamps(clip: Clip) -> list[dict[str, Any]]:
         for i in np.unique(nearest):
             of = nearest == i
             out.append(
-                _lamp(room @ (radiance[of].mean(1) @ directions[of]), radiance[of].sum(0))
+                _lamp(
+                    room @ (radiance[of].mean(1) @ directions[of]),
+                    radiance[of].sum(0),
+                )
             )
     return out
 

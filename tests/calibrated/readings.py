@@ -42,7 +42,8 @@ def analysis(clip: Clip) -> tuple[Analysis, list[Reading]]:
         slow = 0.8 * slow + 0.6 * wrong * rng.normal(size=3)
         off = slow + 0.3 * wrong * rng.normal(size=3)
         turn = (
-            about(off / np.linalg.norm(off), float(np.linalg.norm(off))) @ clip.turns[k]
+            about(off / np.linalg.norm(off), float(np.linalg.norm(off)))
+            @ clip.turns[k]
         )
         pose = Pose(turn, clip.places_m[k])
         facts.append(
@@ -84,12 +85,16 @@ def analysis(clip: Clip) -> tuple[Analysis, list[Reading]]:
     )
 
 
-def _gloss(clip: Clip, normal: np.ndarray, place: np.ndarray, frame: int) -> np.ndarray:
+def _gloss(
+    clip: Clip, normal: np.ndarray, place: np.ndarray, frame: int
+) -> np.ndarray:
     """(3,) mirrored light of the lamps, camera axes."""
     out = np.zeros(3)
     for lamp in clip.lamps if clip.gloss else ():
         towards = (
-            lamp.direction if clip.camera_rests else clip.turns[frame] @ lamp.direction
+            lamp.direction
+            if clip.camera_rests
+            else clip.turns[frame] @ lamp.direction
         )
         half = towards - place / np.linalg.norm(place)
         out += (

@@ -189,7 +189,9 @@ def sphere(count: int) -> np.ndarray:
     return np.stack([r * np.cos(phi), r * np.sin(phi), z], -1)
 
 
-def disc_directions(middle: np.ndarray, half_deg: float, count: int = 40) -> np.ndarray:
+def disc_directions(
+    middle: np.ndarray, half_deg: float, count: int = 40
+) -> np.ndarray:
     """(count, 3) unit vectors, evenly over a disc of the sphere."""
     if half_deg <= 0:
         return middle[None]
@@ -336,7 +338,9 @@ def _prints(
     out = {KEY: (np.eye(3), np.zeros(3))}
     if kind == "board":
         for key, side in zip(ON_CUBE[:2], (-1, 1), strict=True):
-            tilt = about(np.array([0.0, 1, 0]), side * np.radians(rng.uniform(25, 45)))
+            tilt = about(
+                np.array([0.0, 1, 0]), side * np.radians(rng.uniform(25, 45))
+            )
             out[key] = (tilt, np.array([side * 0.11, 0, 0.02]))
     if kind == "tilted":
         for key, a in zip(
@@ -366,7 +370,11 @@ def _prints(
 
 
 def _lamps(
-    rng: np.random.Generator, case: Case, pole: np.ndarray, strength: float, frames: int
+    rng: np.random.Generator,
+    case: Case,
+    pole: np.ndarray,
+    strength: float,
+    frames: int,
 ) -> list[Lamp]:
     on, half, distance = (
         np.ones(frames),

@@ -250,7 +250,10 @@ def table(rows: Sequence[Row]) -> list[tuple[str, ...]]:
     parts = dict.fromkeys(r.part for r in rows)
     return [
         *lines,
-        *(_line(f"all, {part}", [r for r in rows if r.part == part]) for part in parts),
+        *(
+            _line(f"all, {part}", [r for r in rows if r.part == part])
+            for part in parts
+        ),
     ]
 
 

@@ -72,8 +72,12 @@ def claim(verdict: str, error_deg: float, mean_deg: float, cone_deg: float) -> C
     return Claim(verdict, error_deg, mean_deg, error_deg, True, cone_deg, 10)
 
 
-def row_of(verdict: str, *claims: Claim, owed: bool = False, never: bool = False) -> Row:
-    return Row("readings", "a case", 0, 1, owed, never, verdict, "", claims, None, 0.0)
+def row_of(
+    verdict: str, *claims: Claim, owed: bool = False, never: bool = False
+) -> Row:
+    return Row(
+        "readings", "a case", 0, 1, owed, never, verdict, "", claims, None, 0.0
+    )
 
 
 @pytest.mark.parametrize(
@@ -113,7 +117,11 @@ def test_a_simulated_surface_is_lit_as_the_lamp_and_an_even_sky_light_it() -> No
 
 @pytest.mark.parametrize(
     "name",
-    ["one print turned by hand, filmed", "moved half-way", "hand-held, cube of markers"],
+    [
+        "one print turned by hand, filmed",
+        "moved half-way",
+        "hand-held, cube of markers",
+    ],
 )
 def test_what_is_filmed_is_what_was_drawn(name: str) -> None:
     """Print, lamps and camera of the filmed scene, against the drawn clip."""
@@ -125,7 +133,8 @@ def test_what_is_filmed_is_what_was_drawn(name: str) -> None:
         on = [light for light in truth.lights if np.mean(light["rgb"]) > 0]
         axes = "camera" if clip.camera_rests else "marker"
         directions = [
-            light[axes] if axes == "camera" else light[axes]["36h11:3"] for light in on
+            light[axes] if axes == "camera" else light[axes]["36h11:3"]
+            for light in on
         ]
         np.testing.assert_allclose(
             directions,
@@ -134,7 +143,9 @@ def test_what_is_filmed_is_what_was_drawn(name: str) -> None:
         )
         if clip.camera_rests:
             np.testing.assert_allclose(pose.rotation, clip.turns[n], atol=1e-6)
-            np.testing.assert_allclose(pose.translation_m, clip.places_m[n], atol=1e-9)
+            np.testing.assert_allclose(
+                pose.translation_m, clip.places_m[n], atol=1e-9
+            )
         else:
             assert np.linalg.norm(pose.translation_m) == pytest.approx(
                 DISTANCE_M, abs=0.02
@@ -143,6 +154,7 @@ def test_what_is_filmed_is_what_was_drawn(name: str) -> None:
 
 def test_equal_seeds_give_equal_clips_and_others_do_not() -> None:
     a, b, c = (
-        readings.analysis(drawn(NAMED["gloss"], seed))[1][5][2].mean for seed in (1, 1, 2)
+        readings.analysis(drawn(NAMED["gloss"], seed))[1][5][2].mean
+        for seed in (1, 1, 2)
     )
     assert np.array_equal(a, b) and not np.array_equal(a, c)

@@ -18,7 +18,9 @@ from arfx_cli.main import main
 from tests.clips import MARKER, write_camera, write_clip, write_model
 
 FRAMES = 36
-SHORTEST_CHUNK = 15  # so there are three: of jobs in this process and of `at_a_moment`
+SHORTEST_CHUNK = (
+    15  # so there are three: of jobs in this process and of `at_a_moment`
+)
 
 
 @dataclass
@@ -123,7 +125,8 @@ def arfx(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Run:
             gc.set_threshold(*collections)
         code = done.value.code
         return Result(
-            code if isinstance(code, int) else int(code is not None), *capfd.readouterr()
+            code if isinstance(code, int) else int(code is not None),
+            *capfd.readouterr(),
         )
 
     return run

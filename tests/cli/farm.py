@@ -21,7 +21,12 @@ class Farm:
 
 @contextlib.contextmanager
 def farm(workers: int, allowed_failures: int = 3) -> Iterator[Farm]:
-    command = [sys.executable, str(Path(__file__)), str(workers), str(allowed_failures)]
+    command = [
+        sys.executable,
+        str(Path(__file__)),
+        str(workers),
+        str(allowed_failures),
+    ]
     with subprocess.Popen(
         command,
         stdin=subprocess.PIPE,

@@ -62,7 +62,10 @@ def jobs(folder: Path) -> Iterator[tuple[str, list[str]]]:
         "1": ("--workers", "1"),
         "2": ("--workers", "2"),
     }.items():
-        yield name, job(clip, "--set", BACKEND, *more, "-o", str(folder / f"{name}.mkv"))
+        yield (
+            name,
+            job(clip, "--set", BACKEND, *more, "-o", str(folder / f"{name}.mkv")),
+        )
     interrupt(clip, folder / "resumed.mkv.job")
     yield (
         "resumed",
@@ -123,7 +126,9 @@ def run(folder: Path) -> None:
         opened = gl_context.open_context().detail
     except RenderError as e:
         opened = f"{e.message}"
-    (folder / "results.json").write_text(json.dumps({"opened": opened, "jobs": results}))
+    (folder / "results.json").write_text(
+        json.dumps({"opened": opened, "jobs": results})
+    )
 
 
 if __name__ == "__main__":

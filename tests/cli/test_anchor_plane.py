@@ -37,9 +37,9 @@ def depth_map(floor: bool = True) -> np.ndarray:
     up = np.array([0, -np.cos(a), -np.sin(a)])
     z = -HEIGHT_M / np.minimum(d @ up, -0.1) if floor else np.full(d.shape[:2], 1.0)
     gone = np.random.default_rng(0).random((12, 16)) < 0.32
-    return np.where(np.kron(gone, np.ones((10, 10), bool)), 0, np.round(1000 * z)).astype(
-        np.uint16
-    )
+    return np.where(
+        np.kron(gone, np.ones((10, 10), bool)), 0, np.round(1000 * z)
+    ).astype(np.uint16)
 
 
 @pytest.fixture(scope="module")
@@ -77,13 +77,19 @@ def test_the_object_stands_on_the_plane(
     )
     assert r.code == 0, r.err
     told = r.json["pose"]
-    assert told["frames_measured"] == 18 and told["anchor"]["poses"] == "a camera at rest"
+    assert (
+        told["frames_measured"] == 18
+        and told["anchor"]["poses"] == "a camera at rest"
+    )
     assert told["anchor"]["residual_mm"] < 1 and told["anchor"]["area_m2"] > 0.1
     plane = Pose.from_json(
         told["anchor"]["world_from_plane"]
     )  # the given world is the camera's
     a = np.radians(DOWN_DEG)
-    assert np.degrees(np.arccos(plane.rotation[:, 2] @ [0, -np.cos(a), -np.sin(a)])) < 0.2
+    assert (
+        np.degrees(np.arccos(plane.rotation[:, 2] @ [0, -np.cos(a), -np.sin(a)]))
+        < 0.2
+    )
     assert -plane.rotation[:, 2] @ plane.translation_m == pytest.approx(
         HEIGHT_M, abs=0.002
     )
@@ -135,7 +141,8 @@ def test_poses_sparser_than_frames_are_bridged(
     x, y, z, w = Rotation.from_euler("x", -90 - DOWN_DEG, degrees=True).as_quat()
     (tmp_path / "poses.txt").write_text(
         "".join(
-            f"{k / 30} {0.005 * k} 0 {HEIGHT_M} {x} {y} {z} {w}\n" for k in (0, 6, 12, 18)
+            f"{k / 30} {0.005 * k} 0 {HEIGHT_M} {x} {y} {z} {w}\n"
+            for k in (0, 6, 12, 18)
         )
     )
     cv2.imwrite(str(tmp_path / "one.png"), depth_map())
@@ -152,7 +159,10 @@ def test_poses_sparser_than_frames_are_bridged(
     )
     r = arfx(*arguments(material, still, *more))
     assert r.code == 0 and "bridged" in r.err, r.err
-    assert (r.json["pose"]["frames_measured"], r.json["pose"]["frames_interpolated"]) == (
+    assert (
+        r.json["pose"]["frames_measured"],
+        r.json["pose"]["frames_interpolated"],
+    ) == (
         3,
         15,
     )
@@ -227,6 +237,8 @@ def test_refusals(
 ) -> None:
     cv2.imwrite(str(tmp_path / "one.png"), depth_map(case != "a wall"))
     more = () if case == "no depth" else ("--depth", "one.png")
-    r = arfx(*arguments(material, material.clip if case == "moving" else still, *more))
+    r = arfx(
+        *arguments(material, material.clip if case == "moving" else still, *more)
+    )
     assert r.code == code and words in r.err, r.err
     assert not (tmp_path / "out.mkv").exists()

@@ -61,7 +61,9 @@ def command(material: Material, *more: str) -> list[str]:
 def test_one_that_fails_does_not_stop_the_others(
     material: Material, arfx: Run, shots: Path, tmp_path: Path
 ) -> None:
-    arguments = command(material, "shots", "-o", "out/{stem}.mp4", "--report", "report")
+    arguments = command(
+        material, "shots", "-o", "out/{stem}.mp4", "--report", "report"
+    )
     r = arfx(*arguments, "--json")
     assert r.code == 6, r.err
     assert r.json["failed"] == 1
@@ -76,7 +78,8 @@ def test_one_that_fails_does_not_stop_the_others(
         for job in rows.values()
     )
     assert (
-        "\n" not in rows["two.mp4"]["message"] and "two.mp4" in rows["two.mp4"]["message"]
+        "\n" not in rows["two.mp4"]["message"]
+        and "two.mp4" in rows["two.mp4"]["message"]
     )
     assert json.loads((tmp_path / "report/batch.json").read_text()) == r.json
     assert (
@@ -236,7 +239,9 @@ def test_a_stopped_batch_says_what_is_done(
     monkeypatch.setattr(job_module, "_chunks", chunks_of)
     assert arfx(*arguments).code == 2
     resumed = arfx(*arguments, "--resume", "--json")
-    assert resumed.code == 6 and [job["message"] for job in resumed.json["jobs"]][:2] == [
+    assert resumed.code == 6 and [job["message"] for job in resumed.json["jobs"]][
+        :2
+    ] == [
         "4 frames, done before",
         "4 frames",
     ]
@@ -271,7 +276,9 @@ def test_what_is_wrong_is_refused_before_any_work(
     (tmp_path / "empty").mkdir()
     (tmp_path / "other").mkdir()
     shutil.copy(shots / "one.mp4", tmp_path / "other/one.mp4")
-    (tmp_path / "m.toml").write_text("[[job]]\nclip = 'shots/one.mp4'\nfitt = '1cm'\n")
+    (tmp_path / "m.toml").write_text(
+        "[[job]]\nclip = 'shots/one.mp4'\nfitt = '1cm'\n"
+    )
     for arguments, parts in {
         ("empty", "-o", "out/{stem}.mp4"): ["no clip is in empty", ".mp4"],
         ("shots/*.avi", "-o", "out/{stem}.mp4"): ["no clip is in shots/*.avi"],
@@ -330,7 +337,9 @@ def test_outputs_beside_the_clips_are_no_clips(
     clips of the second.
     """
     (shots / "two.mp4").unlink()
-    arguments = command(material, "shots", "-o", "shots/{stem}_ar.mp4", "--end", "0.1")
+    arguments = command(
+        material, "shots", "-o", "shots/{stem}_ar.mp4", "--end", "0.1"
+    )
     assert arfx(*arguments).code == 0
     r = arfx(*arguments, "--resume", "--json")
     assert r.code == 0 and [Path(job["clip"]).name for job in r.json["jobs"]] == [

@@ -18,7 +18,8 @@ def test_every_stage_has_its_row(arfx: Run) -> None:
     )
     assert next(row["error"] for row in rows if row["stage"] == "lightmap") > 0
     assert all(
-        row["ms"] > 0 and row["ratio"] > 0 and row["size"] == "160x120" for row in rows
+        row["ms"] > 0 and row["ratio"] > 0 and row["size"] == "160x120"
+        for row in rows
     )
 
 
@@ -41,4 +42,6 @@ def test_what_is_unknown_is_a_usage_error(arfx: Run) -> None:
         (("--level", "hgh"), "'high'"),
     ):
         r = arfx("bench", *words)
-        assert r.code == 2 and said in r.err and "Traceback" not in r.err and not r.out
+        assert (
+            r.code == 2 and said in r.err and "Traceback" not in r.err and not r.out
+        )

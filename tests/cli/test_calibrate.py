@@ -80,7 +80,9 @@ def test_a_rotated_clip_is_searched_upright(
             gray = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
             assert gray is not None
             stored = np.ascontiguousarray(np.rot90(gray, -1))
-            frame = av.VideoFrame.from_ndarray(stored, "gray").reformat(format="yuv420p")
+            frame = av.VideoFrame.from_ndarray(stored, "gray").reformat(
+                format="yuv420p"
+            )
             for packet in stream.encode(frame):
                 container.mux(packet)
         for packet in stream.encode():

@@ -129,7 +129,9 @@ def test_a_killed_worker_costs_its_chunk_only(
     with connected(running) as (client, cluster):
         pids = list(client.run(os.getpid).values())
         assert (
-            rendered(planned, cluster, once(partial(os.kill, pids[0], signal.SIGKILL)))
+            rendered(
+                planned, cluster, once(partial(os.kill, pids[0], signal.SIGKILL))
+            )
             == serial
         )
 
@@ -154,7 +156,9 @@ def test_a_worker_that_differs_gets_no_work(
 ) -> None:
     here = start.environment()
     monkeypatch.setattr(
-        start, "environment", lambda: {**here, "numpy": "0.1", "arfx's code": "another"}
+        start,
+        "environment",
+        lambda: {**here, "numpy": "0.1", "arfx's code": "another"},
     )
     with pytest.raises(RenderError) as refused, connected(running):
         pass
@@ -169,10 +173,14 @@ def test_a_worker_without_opengl_gets_no_work_of_a_job_that_needs_it(
     by_opengl = params["raster"].model_copy(update={"backend": "pyrender"})
     config = planned.inputs.config.model_copy(update={"raster": by_opengl})
     job = replace(planned, inputs=replace(planned.inputs, config=config))
-    monkeypatch.setattr(start, "OPENS", "opens on a graphics card")  # as no worker says
+    monkeypatch.setattr(
+        start, "OPENS", "opens on a graphics card"
+    )  # as no worker says
     with (
         connected(running) as (_, cluster),
-        pytest.raises(RenderError, match=r"OpenGL is .*, here opens on a graphics card"),
+        pytest.raises(
+            RenderError, match=r"OpenGL is .*, here opens on a graphics card"
+        ),
     ):
         rendered(job, cluster)
 
@@ -243,12 +251,12 @@ def test_a_copy_of_the_job_folder_is_not_the_job_folder(
 ) -> None:
     monkeypatch.setattr(dispatch, "ARRIVE_S", 0.5)
     planned.folder.clear("chunks/")
-    maps = (
-        f"{planned.folder.path}={shutil.copytree(planned.folder.path, tmp_path / 'job')}"
-    )
+    maps = f"{planned.folder.path}={shutil.copytree(planned.folder.path, tmp_path / 'job')}"
     with (
         connected(running, maps) as (_, cluster),
-        pytest.raises(RenderError, match=r"a worker has written .*, and it is not in"),
+        pytest.raises(
+            RenderError, match=r"a worker has written .*, and it is not in"
+        ),
     ):
         rendered(planned, cluster)
 
@@ -268,8 +276,12 @@ def test_workers_that_do_not_see_the_job_folder_use_a_store(
             )
             == serial
         )
-    assert "facts.jsonl" in seen and not [*store.rglob("*")], "what was put there is gone"
-    assert len([*planned.folder.previews.iterdir()]) == 2 * len(planned.analysed.previews)
+    assert "facts.jsonl" in seen and not [*store.rglob("*")], (
+        "what was put there is gone"
+    )
+    assert len([*planned.folder.previews.iterdir()]) == 2 * len(
+        planned.analysed.previews
+    )
 
 
 FACTS = "facts.jsonl", "frames.json", "environment.maps"
@@ -319,7 +331,11 @@ def found(
     cut_clip: JobConfig, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[tuple[Job, list[bytes]]]:
     """As this process analyses it."""
-    with analysed(cut_clip, tmp_path_factory.mktemp("found") / "job") as (job, facts, _):
+    with analysed(cut_clip, tmp_path_factory.mktemp("found") / "job") as (
+        job,
+        facts,
+        _,
+    ):
         assert b'"print.png"' in facts[1]
         yield job, facts
 
@@ -331,7 +347,9 @@ def test_the_analysis_is_done_by_the_workers_too(
         connected(running) as (client, cluster),
         analysed(cut_clip, tmp_path / "job", cluster) as (job, facts, rows),
     ):
-        assert facts == found[1] and rendered(job, cluster) == rendered(found[0], None)
+        assert facts == found[1] and rendered(job, cluster) == rendered(
+            found[0], None
+        )
         pids = client.run(os.getpid).values()
         assert all(row["pid"] in pids and row["worker"] for row in rows)
         workers = job.log.spent(job.analysis_key, ()).workers
@@ -360,7 +378,9 @@ def test_a_worker_that_is_killed_with_a_stretch_costs_that_only(
 
         monkeypatch.setattr(dispatch.Dispatch, "_submit", submit)
         with analysed(cut_clip, tmp_path / "job", cluster) as (_, facts, rows):
-            assert facts == found[1] and os.getpid() not in {row["pid"] for row in rows}
+            assert facts == found[1] and os.getpid() not in {
+                row["pid"] for row in rows
+            }
 
 
 @pytest.mark.usefixtures("mapped_only")
@@ -416,7 +436,9 @@ def test_workers_with_another_processor_analyse_nothing(
     """Libraries choose their code by it: facts might differ in their last digits. This
     machine does it then.
     """
-    monkeypatch.setattr("arfx.run.cluster.agreement.processor_name", lambda: "another")
+    monkeypatch.setattr(
+        "arfx.run.cluster.agreement.processor_name", lambda: "another"
+    )
     told = list[str]()
     with (
         connected(running, notice=told.append) as (_, cluster),
@@ -472,7 +494,12 @@ def whole(material: Material, tmp_path_factory: pytest.TempPathFactory) -> bytes
     ("number", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -signal.SIGKILL)]
 )
 def test_a_job_that_is_stopped_with_its_cluster_is_resumed(
-    arfx: Run, material: Material, whole: bytes, tmp_path: Path, number: int, code: int
+    arfx: Run,
+    material: Material,
+    whole: bytes,
+    tmp_path: Path,
+    number: int,
+    code: int,
 ) -> None:
     """As Ctrl-C at a terminal, which all processes see; and when there is no time for anything."""
     arguments = material.arguments("-o", "out.mkv", "--codec", "ffv1", "--job", "job")
@@ -531,7 +558,13 @@ def test_workers_are_started_by_slurm(
     )
     result = arfx(
         *material.arguments(
-            "-o", "out.mkv", "--codec", "ffv1", "--executor", "slurm:slurm.toml", "--json"
+            "-o",
+            "out.mkv",
+            "--codec",
+            "ffv1",
+            "--executor",
+            "slurm:slurm.toml",
+            "--json",
         )
     )
     assert result.code == 0, result.err + (tmp_path / "log").read_text()
@@ -555,5 +588,7 @@ def test_workers_that_exit_at_start_are_told(
     """Red without a look at the processes: the job waits for two minutes."""
     (tmp_path / "end.py").write_text("import os\nos._exit(3)\n")
     env = {"DASK_DISTRIBUTED__WORKER__PRELOAD": repr([str(tmp_path / "end.py")])}
-    done = arfx(*material.arguments("-o", "out.mp4", "--executor", "local:1"), env=env)
+    done = arfx(
+        *material.arguments("-o", "out.mp4", "--executor", "local:1"), env=env
+    )
     assert done.code == 5 and "no worker of the local cluster starts" in done.err

@@ -18,7 +18,9 @@ def depth_of(pose_index: int, near: bool) -> np.ndarray:
     holes.
     """
     camera, pose = clip_camera(), pose_at(pose_index, FRAMES)
-    grid = np.stack(np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])), -1).astype(float)
+    grid = np.stack(np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])), -1).astype(
+        float
+    )
     normal = pose.rotation[:, 2]
     z = (normal @ pose.translation_m) / (camera.directions(grid) @ normal)
     if near:
@@ -50,7 +52,9 @@ def test_the_blur_follows_the_depth(
         "--end",
         "0.3",
     )
-    r = arfx(*material.arguments("-o", "out.mkv", "--depth", str(depth), "--json", *lens))
+    r = arfx(
+        *material.arguments("-o", "out.mkv", "--depth", str(depth), "--json", *lens)
+    )
     assert r.code == 0, r.err
     told = r.json["depth"]
     assert (
@@ -84,14 +88,23 @@ def test_what_is_nearer_hides_the_object(
     sharp_lens = ("--pipeline", "dof", "--set", "dof.fnumber=1000")
     plain = arfx(
         *material.arguments(
-            "-o", "plain.mkv", "--codec", "ffv1", "--end", "0.2", "--json", *sharp_lens
+            "-o",
+            "plain.mkv",
+            "--codec",
+            "ffv1",
+            "--end",
+            "0.2",
+            "--json",
+            *sharp_lens,
         )
     )
     assert plain.code == 0, plain.err
     sharp, seen = (
         frames(p)[5][1].astype(float) for p in (material.clip, tmp_path / "plain.mkv")
     )
-    drawn = (seen - sharp).max(-1) > 40  # brighter: its shadow, which stays, is darker
+    drawn = (seen - sharp).max(
+        -1
+    ) > 40  # brighter: its shadow, which stays, is darker
     middle = int(np.median(np.nonzero(drawn)[1]))
     for k in range(FRAMES):
         z = depth_of(k, near=False)
@@ -134,7 +147,9 @@ def test_refused_depth_is_said(material: Material, arfx: Run, tmp_path: Path) ->
         )
     )
     assert r.code == 0 and not r.json["depth"]["known"]
-    assert "the real depth is not used: 0 frames have depth on a marker's print" in r.err
+    assert (
+        "the real depth is not used: 0 frames have depth on a marker's print" in r.err
+    )
     assert any(
         h["check"].startswith("real depth") and h["verdict"] == "warn"
         for h in r.json["health"]

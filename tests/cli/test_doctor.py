@@ -15,9 +15,13 @@ def test_one_json_document(arfx: Run) -> None:
         ("takes pyrender: ", "takes rays: ")
     )
     assert (
-        by_name["rays"]["ok"] and by_name["h264"]["ok"] and by_name["h264"]["essential"]
+        by_name["rays"]["ok"]
+        and by_name["h264"]["ok"]
+        and by_name["h264"]["essential"]
     )
-    assert {"group", "name", "ok", "detail", "fix", "essential"} == set(by_name["python"])
+    assert {"group", "name", "ok", "detail", "fix", "essential"} == set(
+        by_name["python"]
+    )
 
 
 def test_without_opengl_it_says_so_with_the_fix_and_still_works(arfx: Run) -> None:

@@ -35,9 +35,7 @@ def write_hdr_clip(path: Path, kind: str) -> Path:
     to_2020 = from_bt709(9)
     assert to_2020 is not None
     camera = clip_camera()
-    params = (
-        f"log-level=none:transfer={name}:colorprim=bt2020:colormatrix=bt2020nc:{STATIC}"
-    )
+    params = f"log-level=none:transfer={name}:colorprim=bt2020:colormatrix=bt2020nc:{STATIC}"
     with av.open(str(path), "w") as out:
         options = {"crf": "8", "preset": "ultrafast", "x265-params": params}
         s = out.add_stream("libx265", rate=30, options=options)
@@ -119,7 +117,9 @@ def test_untouched_pixels_of_hlg_keep_their_bits_and_the_object_its_colour(
     hlg: Path, material: Material, arfx: Run, tmp_path: Path
 ) -> None:
     """The model's orange, in BT.2020, is what an ordinary clip of the same scene shows."""
-    r = arfx(*material.arguments("-o", "out.mkv", "--codec", "ffv1", "--json", clip=hlg))
+    r = arfx(
+        *material.arguments("-o", "out.mkv", "--codec", "ffv1", "--json", clip=hlg)
+    )
     assert r.code == 0, r.err
     assert json.loads(r.out)["output"]["frames"] == FRAMES
     plain = arfx(*material.arguments("-o", "sdr.mkv", "--codec", "ffv1"))
@@ -141,7 +141,9 @@ def test_untouched_pixels_of_hlg_keep_their_bits_and_the_object_its_colour(
     assert 0.01 < changed.mean() < 0.5
     assert not changed[:30].any() and not changed[-20:].any()
     orange = cv2.erode(
-        ((shown[..., 0] > 3 * shown[..., 2]) & (shown[..., 0] > 0.1)).astype(np.uint8),
+        ((shown[..., 0] > 3 * shown[..., 2]) & (shown[..., 0] > 0.1)).astype(
+            np.uint8
+        ),
         np.ones((5, 5), np.uint8),
     ).astype(bool)
     assert orange.sum() > 200

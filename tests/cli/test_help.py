@@ -30,7 +30,9 @@ def test_the_version_is_the_packages(arfx: Run) -> None:
 )
 def test_a_misspelt_command_gets_the_nearest(arfx: Run, word: str, near: str) -> None:
     r = arfx(word)
-    assert r.code == 2 and "Did you mean" in r.err and f"'{near}'" in r.err and not r.out
+    assert (
+        r.code == 2 and "Did you mean" in r.err and f"'{near}'" in r.err and not r.out
+    )
 
 
 def test_an_unknown_option_is_a_usage_error(arfx: Run) -> None:
@@ -47,7 +49,13 @@ def test_every_config_that_is_given_counts(arfx: Run, tmp_path: Path) -> None:
     (tmp_path / "first.toml").write_text('[model]\nfit = "15"\n')
     (tmp_path / "second.toml").write_text("[dof]\nfnumbr = 2\n")
     r = arfx(
-        "plan", "--config", "first.toml", "--config", "second.toml", "--config", "final"
+        "plan",
+        "--config",
+        "first.toml",
+        "--config",
+        "second.toml",
+        "--config",
+        "final",
     )
     assert (
         r.code == 2
@@ -70,6 +78,6 @@ def test_help_says_what_the_pipeline_auto_is(arfx: Run) -> None:
         pipeline(load(None, tree, parameters()))
         for tree in ({}, {"dof": {"fnumber": 4}}, {"dof": {"formula": "paper"}})
     )
-    assert "lightmap" in usual and {*lens} - {*usual} == {"dof"} and printed == usual, (
-        "a formula alone asks for no effect"
-    )
+    assert (
+        "lightmap" in usual and {*lens} - {*usual} == {"dof"} and printed == usual
+    ), "a formula alone asks for no effect"

@@ -17,7 +17,9 @@ from tests.clips import MARKER, clip_camera, pose_at, write_clip
 def test_the_marker_is_found_measured_and_suggested(
     material: Material, arfx: Run
 ) -> None:
-    r = arfx("inspect", str(material.clip), "--camera", str(material.camera), "--json")
+    r = arfx(
+        "inspect", str(material.clip), "--camera", str(material.camera), "--json"
+    )
     assert r.code == 0, r.err
     d = r.json
     (m,) = d["markers"]
@@ -40,7 +42,13 @@ def test_the_marker_is_found_measured_and_suggested(
         and str(material.camera) in d["suggestion"]
     )
     clip = d["clip"]
-    assert (clip["width"], clip["height"], clip["frames"], clip["vfr"], clip["gaps"]) == (
+    assert (
+        clip["width"],
+        clip["height"],
+        clip["frames"],
+        clip["vfr"],
+        clip["gaps"],
+    ) == (
         320,
         240,
         FRAMES,
@@ -52,10 +60,14 @@ def test_the_marker_is_found_measured_and_suggested(
     assert d["cuts"] == []
 
 
-def test_the_text_names_marker_and_next_command(material: Material, arfx: Run) -> None:
+def test_the_text_names_marker_and_next_command(
+    material: Material, arfx: Run
+) -> None:
     r = arfx("inspect", str(material.clip), "--samples", "4")
     assert r.code == 0, r.err
-    assert MARKER.key in r.out and "arfx process" in r.out and "arfx calibrate" in r.out
+    assert (
+        MARKER.key in r.out and "arfx process" in r.out and "arfx calibrate" in r.out
+    )
 
 
 def test_a_clip_without_marker_is_said_plainly(arfx: Run, tmp_path: Path) -> None:
@@ -97,7 +109,9 @@ def test_a_long_clip_is_sampled_by_seeking(
     monkeypatch.setattr(inspection, "READ_WHOLE", 10)
     sampled = inspection.inspect(probe(material.clip), samples=5)
     assert sampled["samples"] == whole["samples"] == [0, 9, 18, 26, 35]
-    assert sampled["markers"] == whole["markers"] and sampled["light"] == whole["light"]
+    assert (
+        sampled["markers"] == whole["markers"] and sampled["light"] == whole["light"]
+    )
     assert whole["cuts"] == [] and sampled["cuts"] is None
 
 
@@ -114,7 +128,9 @@ def test_what_cannot_be_read_is_one_message(arfx: Run, tmp_path: Path) -> None:
         )
 
 
-def test_what_is_left_out_is_listed_and_not_suggested(arfx: Run, tmp_path: Path) -> None:
+def test_what_is_left_out_is_listed_and_not_suggested(
+    arfx: Run, tmp_path: Path
+) -> None:
     """One frame: a tag, and a code of few bits with one wrong."""
     page = np.full((240, 320), 230, np.uint8)
     for at, name, wrong in (
@@ -122,7 +138,9 @@ def test_what_is_left_out_is_listed_and_not_suggested(arfx: Run, tmp_path: Path)
         (180, "DICT_APRILTAG_16h5", 1),
     ):
         cells = cv2.aruco.generateImageMarker(
-            cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)), 4, 8 - 2 * wrong
+            cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)),
+            4,
+            8 - 2 * wrong,
         )
         cells[1, 1 : 1 + wrong] = 255 - cells[1, 1 : 1 + wrong]
         block = np.kron(cells, np.ones((12, 12), np.uint8))
@@ -130,7 +148,10 @@ def test_what_is_left_out_is_listed_and_not_suggested(arfx: Run, tmp_path: Path)
     with av.open(str(tmp_path / "one.mkv"), "w") as file:
         stream = file.add_stream("ffv1", 25, width=320, height=240, pix_fmt="gray")
         file.mux(
-            [*stream.encode(av.VideoFrame.from_ndarray(page, "gray")), *stream.encode()]
+            [
+                *stream.encode(av.VideoFrame.from_ndarray(page, "gray")),
+                *stream.encode(),
+            ]
         )
     out = arfx("inspect", "one.mkv").out
     assert (

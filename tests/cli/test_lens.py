@@ -46,9 +46,12 @@ def test_limits_of_both_formulas(arfx: Run) -> None:
 
 
 def test_beyond_the_hyperfocal_distance(arfx: Run) -> None:
-    r = arfx("lens", "--focal", "24mm", "--fnumber", "8", "--distance", "5m", "--json")
+    r = arfx(
+        "lens", "--focal", "24mm", "--fnumber", "8", "--distance", "5m", "--json"
+    )
     assert (
-        r.json["corrected"]["back_mm"] is None and r.json["corrected"]["back_is_infinite"]
+        r.json["corrected"]["back_mm"] is None
+        and r.json["corrected"]["back_is_infinite"]
     )
     assert (
         "infinite"
@@ -59,4 +62,7 @@ def test_beyond_the_hyperfocal_distance(arfx: Run) -> None:
 def test_focus_within_the_focal_length_is_one_message(arfx: Run) -> None:
     r = arfx("lens", "--focal", "200mm", "--fnumber", "11", "--distance", "20cm")
     assert r.code == 3 and "cannot be focused at 200 mm" in r.err and not r.out
-    assert arfx("lens", "--focal", "200", "--fnumber", "11", "--distance", "1m").code == 2
+    assert (
+        arfx("lens", "--focal", "200", "--fnumber", "11", "--distance", "1m").code
+        == 2
+    )

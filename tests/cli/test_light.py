@@ -25,7 +25,9 @@ def light(arfx: Run, material: Material, *more: str) -> dict:
     return found
 
 
-def test_one_marker_at_rest_is_refused_out_loud(material: Material, arfx: Run) -> None:
+def test_one_marker_at_rest_is_refused_out_loud(
+    material: Material, arfx: Run
+) -> None:
     r = arfx(*material.arguments("-o", "out.mkv", "--end", "0.3", "--json"))
     assert r.json["light"]["verdict"] == "refused" and r.json["light"]["lights"] == []
     assert "light: no direction is known" in r.err and "--light AZ,EL" in r.err
@@ -33,7 +35,11 @@ def test_one_marker_at_rest_is_refused_out_loud(material: Material, arfx: Run) -
         row["check"] == "light direction" and row["verdict"] == "warn"
         for row in r.json["health"]
     )
-    assert [s["name"] for s in r.json["stages"]] == ["raster", "lightmap", "composite"]
+    assert [s["name"] for s in r.json["stages"]] == [
+        "raster",
+        "lightmap",
+        "composite",
+    ]
 
 
 def test_a_given_light_is_assumed(material: Material, arfx: Run) -> None:
@@ -45,7 +51,9 @@ def test_a_given_light_is_assumed(material: Material, arfx: Run) -> None:
 
 
 def test_a_panorama_is_assumed(material: Material, arfx: Run, tmp_path: Path) -> None:
-    found = light(arfx, material, "--environment", str(panorama(tmp_path / "room.hdr")))
+    found = light(
+        arfx, material, "--environment", str(panorama(tmp_path / "room.hdr"))
+    )
     assert found["verdict"] == "assumed" and found["lights"][0]["direction"][1] > 0.5
 
 
@@ -129,4 +137,6 @@ def test_without_effects_the_light_is_read_all_the_same(
     material: Material, arfx: Run
 ) -> None:
     found = light(arfx, material, "--set", "pipeline.stages=[]")
-    assert found == light(arfx, material, "--overwrite") and found["source"] != "default"
+    assert (
+        found == light(arfx, material, "--overwrite") and found["source"] != "default"
+    )

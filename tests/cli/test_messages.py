@@ -54,7 +54,16 @@ def test_of_several_values_none_is_dropped_in_silence(arfx: Run) -> None:
     r = arfx("process", "clip.mp4", "-oa.mp4", "-o", "b.mp4")
     assert "--output takes one value and is given 2: b.mp4 is used" in r.err
     r = arfx(
-        "plan", "no.mp4", "--crf", "20", "--crf", "20", "--set", "a.b=1", "--set", "a.c=1"
+        "plan",
+        "no.mp4",
+        "--crf",
+        "20",
+        "--crf",
+        "20",
+        "--set",
+        "a.b=1",
+        "--set",
+        "a.c=1",
     )
     assert "takes one value" not in r.err
 
@@ -67,7 +76,9 @@ def place(material: Material, tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "tolerance.toml").write_text('[truth.max]\n"arfx.flips" = 4\n')
     (folder / "board").mkdir()
     for i, pose in enumerate(poses(6)):
-        cv2.imwrite(str(folder / "board" / f"p{i:02d}.png"), render(CHESS, pose, seed=i))
+        cv2.imwrite(
+            str(folder / "board" / f"p{i:02d}.png"), render(CHESS, pose, seed=i)
+        )
     return folder
 
 
@@ -80,7 +91,9 @@ def says(arfx: Run, place: Path, detail: str, *arguments: str) -> Result:
     again = (*arguments, *(["--overwrite"] if "-o" in arguments else []))
     still = arfx(*again, "--quiet", "--json", cwd=place)
     assert still.code == 0 and json.loads(still.out)
-    assert all(line.startswith("note: ") for line in still.err.splitlines()), still.err
+    assert all(line.startswith("note: ") for line in still.err.splitlines()), (
+        still.err
+    )
     return still
 
 
@@ -162,7 +175,11 @@ def test_synth_and_verify(arfx: Run, place: Path) -> None:
 def test_plan(arfx: Run, place: Path, material: Material) -> None:
     more = ("--end", "0.2", "--codec", "h264", "--crf", "20")
     says(
-        arfx, place, "frames 0–6: raster standard", "plan", *material.arguments(*more)[1:]
+        arfx,
+        place,
+        "frames 0–6: raster standard",
+        "plan",
+        *material.arguments(*more)[1:],
     )
 
 
@@ -177,7 +194,9 @@ def test_process_and_report(arfx: Run, place: Path, material: Material) -> None:
 
 
 def test_demo(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """With a shorter and smaller clip than its own, which takes minutes to make."""
     from arfx.synth import description
@@ -190,7 +209,9 @@ def test_demo(
     out, err = capsys.readouterr()
     assert e.value.code == 0 and "stage raster: 4 frames" in err, err
     document = json.loads(out)
-    assert {"picture", "clip_before", "clip_after", "report"} == document.keys() - {"job"}
+    assert {"picture", "clip_before", "clip_after", "report"} == document.keys() - {
+        "job"
+    }
     assert all(
         (tmp_path / document[name]).is_file() for name in document.keys() - {"job"}
     )
@@ -293,5 +314,7 @@ def test_what_is_printed_on_the_way_does_not_spoil_json(
         "arfx.papers.s2_lens.printed_limits",
         lambda *_: print("hello") or lens.depth_of_field(*_),
     )
-    r = arfx("lens", "--focal", "50mm", "--fnumber", "2.8", "--distance", "2m", "--json")
+    r = arfx(
+        "lens", "--focal", "50mm", "--fnumber", "2.8", "--distance", "2m", "--json"
+    )
     assert r.json["fnumber"] == 2.8 and "hello" in r.err

@@ -17,7 +17,10 @@ from tests.cli.conftest import Run
 from tests.cli.test_process import frames
 
 SCENE = (
-    Path(__file__).parents[2] / "sample_scenes" / "0022-before-and-behind" / "scene.toml"
+    Path(__file__).parents[2]
+    / "sample_scenes"
+    / "0022-before-and-behind"
+    / "scene.toml"
 )
 BEFORE, BEHIND = (1, 3, 4), (10, 11)
 SHARP = ("--pipeline", "lightmap", "--codec", "ffv1", "--json")
@@ -28,7 +31,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Clip, maps (video of 16-bit grey) and masks of the scene."""
     folder = tmp_path_factory.mktemp("occlusion") / "clip"
     make_clip(
-        load_scene(SCENE).model_copy(update={"samples": 1, "truth": ("mask",)}), folder
+        load_scene(SCENE).model_copy(update={"samples": 1, "truth": ("mask",)}),
+        folder,
     )
     return folder
 
@@ -126,6 +130,8 @@ def test_depth_in_one_file_decides_what_hides_what(
     lens = pictures(tmp_path / "lens.mkv")
     for n in BEFORE:
         within = tin(made, n, -5)
-        object_only = (np.abs(without[n] - source[n]).max(-1) > 40) & ~tin(made, n, 12)
+        object_only = (np.abs(without[n] - source[n]).max(-1) > 40) & ~tin(
+            made, n, 12
+        )
         assert rough(lens[n], within) < 0.6 * rough(with_depth[n], within)
         assert rough(lens[n], object_only) > 0.9 * rough(with_depth[n], object_only)

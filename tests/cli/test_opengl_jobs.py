@@ -35,7 +35,10 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
         whole = load_scene(ROOT / "sample_scenes" / name / "scene.toml")
         shot = whole.shot[0].model_copy(update={"frames": FRAMES})
         clip = whole.clip.model_copy(
-            update={"width": whole.clip.width // 2, "height": whole.clip.height // 4 * 2}
+            update={
+                "width": whole.clip.width // 2,
+                "height": whole.clip.height // 4 * 2,
+            }
         )
         short = whole.model_copy(update={"shot": (shot,), "clip": clip})
         make_clip(
@@ -83,10 +86,12 @@ def test_every_way_to_run_a_job(
     assert codes == dict.fromkeys(
         ("default", "1", "2", "resumed", *OTHERS, "tradeoff", "demo"), 0
     ), p.stderr
-    assert all(drawn for name, (_, drawn) in results["jobs"].items() if name != "2"), (
-        results["jobs"]
+    assert all(
+        drawn for name, (_, drawn) in results["jobs"].items() if name != "2"
+    ), results["jobs"]
+    assert "Exception ignored" not in p.stderr and "Traceback" not in p.stderr, (
+        p.stderr
     )
-    assert "Exception ignored" not in p.stderr and "Traceback" not in p.stderr, p.stderr
 
     ways = {
         name: (tmp_path / f"{name}.mkv").read_bytes()

@@ -48,7 +48,11 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
         stream.time_base = Fraction(1, 30)
         for i in range(FRAMES):
             view = 0.7 * hung(
-                camera, 0.05 + 0.83 * picture, PRINT.corners_m, pose_at(i, FRAMES), back
+                camera,
+                0.05 + 0.83 * picture,
+                PRINT.corners_m,
+                pose_at(i, FRAMES),
+                back,
             )
             frame = av.VideoFrame.from_ndarray(coded(view), format="rgb24").reformat(
                 format="yuv444p"
@@ -78,13 +82,17 @@ def arguments(*more: str) -> list[str]:
 def test_the_object_stands_on_the_print(place: Path, arfx: Run) -> None:
     job = place / "kept"
     r = arfx(
-        *arguments("--pattern", "poster.png:15cm", "-o", "out.mkv", "--job", str(job)),
+        *arguments(
+            "--pattern", "poster.png:15cm", "-o", "out.mkv", "--job", str(job)
+        ),
         cwd=place,
     )
     assert r.code == 0, r.err
     for fact in read_facts(job / "facts.jsonl"):
         true = pose_at(fact.index, FRAMES)
-        assert fact.light is not None and [m.key for m in fact.markers] == ["poster.png"]
+        assert fact.light is not None and [m.key for m in fact.markers] == [
+            "poster.png"
+        ]
         assert np.degrees(rotation_angle_rad(fact.pose, true)) < 0.5
         assert np.linalg.norm(fact.pose.translation_m - true.translation_m) < 1.5e-3
     written = tomllib.loads((job / "job.toml").read_text())
@@ -148,7 +156,11 @@ def test_another_picture_of_the_same_name_is_another_job(
             "pattern poster.png is named twice",
         ),
         (["--pattern", "none.png:15cm"], 3, "pattern none.png: no such file"),
-        (["--pattern", "camera.yaml:15cm"], 3, "pattern camera.yaml is not a picture"),
+        (
+            ["--pattern", "camera.yaml:15cm"],
+            3,
+            "pattern camera.yaml is not a picture",
+        ),
         (["--pattern", "plain.png:15cm"], 3, "pattern plain.png is too plain"),
         (
             ["--pattern", "card.png:15cm"],

@@ -49,10 +49,14 @@ def test_a_photo_keeps_all_but_the_object(
     path, out = photo(tmp_path / source, turned), tmp_path / f"out{suffix}"
     result = arfx(*material.arguments("-o", str(out), clip=path))
     assert result.code == 0, result.err
-    assert "1 frame to" in result.err and not re.search(r"(?<![\d.])1 frames", result.err)
+    assert "1 frame to" in result.err and not re.search(
+        r"(?<![\d.])1 frames", result.err
+    )
     with Image.open(path) as before, Image.open(out) as after:
         change = np.abs(
-            np.subtract(ImageOps.exif_transpose(before).convert("RGB"), after, dtype=int)
+            np.subtract(
+                ImageOps.exif_transpose(before).convert("RGB"), after, dtype=int
+            )
         ).max(-1)
         same = change == 0 if suffix == ".png" else change < 40
         assert after.info["icc_profile"] == PROFILE

@@ -56,7 +56,9 @@ def test_a_job_on_a_system_that_lacks_what_others_have(
     material: Material, arfx: Run, tmp_path: Path, lacking: dict[str, str]
 ) -> None:
     r = arfx(
-        *material.arguments("-o", "out.mp4", "--end", "1.1", "--workers", "2", "--json"),
+        *material.arguments(
+            "-o", "out.mp4", "--end", "1.1", "--workers", "2", "--json"
+        ),
         env=lacking,
     )
     assert r.code == 0 and "Traceback" not in r.err, r.err

@@ -57,7 +57,9 @@ def test_the_object_stands_on_the_marker_and_the_rest_is_untouched(
     from tests.clips import clip_camera, pose_at
 
     for i in (0, FRAMES // 2, FRAMES - 1):
-        centre = clip_camera().project(pose_at(i, FRAMES).apply(np.array([0, 0, 0.04])))
+        centre = clip_camera().project(
+            pose_at(i, FRAMES).apply(np.array([0, 0, 0.04]))
+        )
         rgb = after[i][1].astype(int)
         ys, xs = np.nonzero(
             (rgb[..., 0] - rgb[..., 2] > 70) & changed[i]
@@ -76,7 +78,9 @@ def test_the_object_stands_on_the_marker_and_the_rest_is_untouched(
         "health",
         "timing",
     } <= report.keys()
-    assert not list(tmp_path.glob("*.job")), "the job folder goes when the job is done"
+    assert not list(tmp_path.glob("*.job")), (
+        "the job folder goes when the job is done"
+    )
 
 
 def test_a_damaged_packet_of_sound_is_left_out_with_a_word(
@@ -90,7 +94,9 @@ def test_a_damaged_packet_of_sound_is_left_out_with_a_word(
     clip.write_bytes(data)
     r = arfx(*material.arguments("-o", "out.mp4", clip=clip))
     assert r.code == 0, r.err
-    assert "damaged packets of sound, subtitles or data that were left out: 1" in r.err
+    assert (
+        "damaged packets of sound, subtitles or data that were left out: 1" in r.err
+    )
     with av.open(str(tmp_path / "out.mp4")) as c:
         assert len(list(c.demux(c.streams.audio[0]))) > 2
     assert len(frames(tmp_path / "out.mp4")) == 4
@@ -249,7 +255,9 @@ def test_a_killed_job_resumes_and_gives_the_same_bytes(
     assert f"render: 15/{FRAMES}" in r.err, "kept chunks are not made again"
     rows = [
         json.loads(line)
-        for line in (tmp_path / "out.mp4.job" / "timings.jsonl").read_text().splitlines()
+        for line in (tmp_path / "out.mp4.job" / "timings.jsonl")
+        .read_text()
+        .splitlines()
     ]
     rendered = [row["first"] for row in rows if row["work"] == "chunk"]
     assert r.json["timing"]["resumed"] is True
@@ -401,7 +409,9 @@ def test_a_poor_calibration_is_a_notice_in_plan_and_report(
     from arfx.media.cameras import load_camera, save_camera
 
     camera = load_camera(material.camera)
-    save_camera(tmp_path / "poor.yaml", camera, verdict="poor", reasons=["only 3 views"])
+    save_camera(
+        tmp_path / "poor.yaml", camera, verdict="poor", reasons=["only 3 views"]
+    )
     args = material.arguments("-o", "out.mp4", "--end", "0.1", "--json")
     args[args.index("--camera") + 1] = "poor.yaml"
     said = "its own verdict is poor (only 3 views)"
@@ -415,13 +425,17 @@ def test_without_a_camera_the_guess_is_said(material: Material, arfx: Run) -> No
     at = args.index("--camera")
     del args[at : at + 2]
     r = arfx(*args)
-    assert r.code == 0 and "guess" in r.err and r.json["health"][0]["verdict"] == "warn"
+    assert (
+        r.code == 0 and "guess" in r.err and r.json["health"][0]["verdict"] == "warn"
+    )
 
 
 def test_plan_explains_without_rendering(
     material: Material, arfx: Run, tmp_path: Path
 ) -> None:
-    r = arfx("plan", *material.arguments("-o", "out.mp4", "--workers", "2", "--json")[1:])
+    r = arfx(
+        "plan", *material.arguments("-o", "out.mp4", "--workers", "2", "--json")[1:]
+    )
     assert r.code == 0, r.err
     rows = {s["name"]: s for s in r.json["stages"]}
     assert (
@@ -436,7 +450,13 @@ def test_forced_equals_planned(material: Material, arfx: Run, tmp_path: Path) ->
     for name, more in (("planned", ()), ("forced", ("--no-skip",))):
         r = arfx(
             *material.arguments(
-                "-o", f"{name}.mkv", "--end", "0.5", "--set", "output.codec=ffv1", *more
+                "-o",
+                f"{name}.mkv",
+                "--end",
+                "0.5",
+                "--set",
+                "output.codec=ffv1",
+                *more,
             )
         )
         assert r.code == 0, r.err
@@ -521,7 +541,9 @@ def test_a_job_left_behind_is_not_cleared_unasked(
 
 def test_a_marker_that_is_never_seen_is_said(material: Material, arfx: Run) -> None:
     r = arfx(
-        *material.arguments("-o", "out.mp4", "--end", "0.2", "--marker", "36h11:7:10cm")
+        *material.arguments(
+            "-o", "out.mp4", "--end", "0.2", "--marker", "36h11:7:10cm"
+        )
     )
     assert r.code == 0 and "36h11:7 was never seen" in r.err
 
@@ -539,12 +561,16 @@ def test_a_marker_that_is_never_seen_is_said(material: Material, arfx: Run) -> N
     ],
 )
 def test_an_option_and_a_setting_of_one_key_that_differ_are_an_error(
-    material: Material, arfx: Run, tmp_path: Path, option: tuple[str, ...], setting: str
+    material: Material,
+    arfx: Run,
+    tmp_path: Path,
+    option: tuple[str, ...],
+    setting: str,
 ) -> None:
     r = arfx(*material.arguments("-o", "out.mp4", *option, "--set", setting))
-    assert r.code == 2 and " ".join(option) in r.err and f"--set {setting}" in r.err, (
-        r.err
-    )
+    assert (
+        r.code == 2 and " ".join(option) in r.err and f"--set {setting}" in r.err
+    ), r.err
     assert "Traceback" not in r.err and not list(tmp_path.iterdir())
 
 

@@ -151,7 +151,9 @@ def test_what_is_no_finished_job_is_one_message(
     assert r.code == 3 and "damaged" in r.err and "Traceback" not in r.err
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+@pytest.mark.skipif(
+    not hasattr(os, "mkfifo"), reason="this system has no named pipes"
+)
 @pytest.mark.parametrize("name", ["report.json", "facts.jsonl", "inputs.json"])
 def test_a_pipe_in_a_jobs_folder_is_not_waited_for(
     job: Path, arfx: Run, tmp_path: Path, name: str

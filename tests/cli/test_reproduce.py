@@ -35,7 +35,9 @@ def test_a_paper_is_reproduced(arfx: Run, tmp_path: Path) -> None:
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["s1.html"]
     again = arfx("reproduce", "s1", "-o", "out")
     assert (
-        again.code == 2 and "s1.html exists" in again.err and "--overwrite" in again.err
+        again.code == 2
+        and "s1.html exists" in again.err
+        and "--overwrite" in again.err
     )
     over = arfx("reproduce", "s1", "-o", "out", "--overwrite", "--short")
     assert (
@@ -67,7 +69,9 @@ def test_what_is_interrupted_is_not_said_to_be_resumable(
     monkeypatch.setattr(s1, "rows", interrupted)
     done = arfx("reproduce", "s1", "-o", "out")
     assert (
-        done.code == 130 and "resume" not in done.err and not (tmp_path / "out").exists()
+        done.code == 130
+        and "resume" not in done.err
+        and not (tmp_path / "out").exists()
     )
 
 

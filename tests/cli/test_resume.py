@@ -185,7 +185,9 @@ def test_time_of_the_stretches_that_are_there_counts(
     material: Material, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(stretches, "LEAST_FRAMES", 20)
-    clip = write_clip(tmp_path / "keys.mov", 60, codec="mjpeg", pixel_format="yuvj420p")
+    clip = write_clip(
+        tmp_path / "keys.mov", 60, codec="mjpeg", pixel_format="yuvj420p"
+    )
     config, folder = job(replace(material, clip=clip), tmp_path), tmp_path / "job"
     rows = interrupted(config, folder, "analyse", 50)
     assert [(r["work"], r["first"], r["last"]) for r in rows] == [
@@ -204,7 +206,8 @@ def test_time_of_the_stretches_that_are_there_counts(
         and timing["decode_s"] > 49
     )
     assert (
-        timing["decode_s"] + timing["analyse_s"] < 1300 and 3000 < timing["wall_s"] < 3500
+        timing["decode_s"] + timing["analyse_s"] < 1300
+        and 3000 < timing["wall_s"] < 3500
     )
 
 
@@ -237,7 +240,9 @@ def test_a_job_that_starts_afresh_counts_its_own_time_alone(
     )
     (tmp_path / "out.mp4").unlink()
     r = arfx(
-        *material.arguments("-o", str(tmp_path / "out.mp4"), "--job", "job", "--resume")
+        *material.arguments(
+            "-o", str(tmp_path / "out.mp4"), "--job", "job", "--resume"
+        )
     )
     assert r.code == 0 and "resumed" in r.err, r.err
 

@@ -88,7 +88,9 @@ def test_a_killed_job_leaves_no_worker(material: Material, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
 )
-@pytest.mark.parametrize("place", ["arfx.run.job.open_inputs", "arfx.media.join._remux"])
+@pytest.mark.parametrize(
+    "place", ["arfx.run.job.open_inputs", "arfx.media.join._remux"]
+)
 def test_a_signal_that_a_library_swallows_stops_the_job(
     material: Material,
     arfx: Run,
@@ -106,7 +108,8 @@ def test_a_signal_that_a_library_swallows_stops_the_job(
     assert not (tmp_path / "out.mp4").exists() and (tmp_path / "out.mp4.job").is_dir()
     monkeypatch.setattr(place, real)
     assert (
-        arfx(*material.arguments("-o", "out.mp4", "--end", "0.1", "--resume")).code == 0
+        arfx(*material.arguments("-o", "out.mp4", "--end", "0.1", "--resume")).code
+        == 0
     )
 
 
@@ -136,7 +139,8 @@ def test_once_the_output_is_in_place_signals_change_nothing(
 ) -> None:
     module, name = place.rsplit(".", 1)
     monkeypatch.setattr(
-        place, sending(signal.SIGINT, getattr(__import__(module, fromlist=[name]), name))
+        place,
+        sending(signal.SIGINT, getattr(__import__(module, fromlist=[name]), name)),
     )
     r = arfx(*material.arguments("-o", "out.mp4", "--end", "0.1"))
     assert (

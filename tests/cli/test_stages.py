@@ -58,7 +58,9 @@ def test_a_stage_says_what_it_reads_and_what_its_levels_cost(arfx: Run) -> None:
     assert d["about"] in said and "gi.strength = 1.0" in said and "Prices: " in said
 
 
-@pytest.mark.parametrize(("name", "near"), [("doff", "'dof'"), ("outputs", "'output'")])
+@pytest.mark.parametrize(
+    ("name", "near"), [("doff", "'dof'"), ("outputs", "'output'")]
+)
 def test_an_unknown_name_gets_the_nearest(arfx: Run, name: str, near: str) -> None:
     r = arfx("stages", name)
     assert r.code == 2 and near in r.err and not r.out

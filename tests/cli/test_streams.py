@@ -46,7 +46,9 @@ def test_a_job_without_any_stream(material: Material, tmp_path: Path) -> None:
         assert sum(1 for _ in c.decode(video=0)) == 10
 
 
-def test_a_job_whose_messages_nobody_reads_on(material: Material, tmp_path: Path) -> None:
+def test_a_job_whose_messages_nobody_reads_on(
+    material: Material, tmp_path: Path
+) -> None:
     p = subprocess.Popen(
         [*ARFX, *material.arguments("-o", "out.mp4", "--end", "1")],
         cwd=tmp_path,

@@ -87,11 +87,17 @@ def test_the_made_folder_is_processed_as_it_is_and_from_anywhere(
     made: Path, arfx: Run, tmp_path: Path
 ) -> None:
     r = arfx(
-        "process", "--config", str(made / "out" / "job.toml"), "-o", "out.mp4", "--json"
+        "process",
+        "--config",
+        str(made / "out" / "job.toml"),
+        "-o",
+        "out.mp4",
+        "--json",
     )
     assert r.code == 0, r.err
     assert (
-        r.json["pose"]["frames_measured"] == 12 and r.json["pose"]["frames_absent"] == 0
+        r.json["pose"]["frames_measured"] == 12
+        and r.json["pose"]["frames_absent"] == 0
     )
     assert (tmp_path / "out.mp4").exists()
 
@@ -135,10 +141,14 @@ def test_verify_fails_when_a_bound_is_broken_and_leaves_the_folder_alone(
         and "at most 1e-06" in r.err
         and "arfx.flips is" not in r.err
     )
-    assert "single frame, OpenCV (12)" in r.out and sorted(folder.rglob("*")) == before
+    assert (
+        "single frame, OpenCV (12)" in r.out and sorted(folder.rglob("*")) == before
+    )
 
 
-def test_an_existing_folder_is_kept_unless_told_otherwise(made: Path, arfx: Run) -> None:
+def test_an_existing_folder_is_kept_unless_told_otherwise(
+    made: Path, arfx: Run
+) -> None:
     stamp = (made / "out" / "clip.mp4").stat().st_mtime_ns
     r = arfx("synth", str(made / "scene.toml"), "-o", str(made / "out"))
     assert (
@@ -171,7 +181,9 @@ def test_a_wrong_scene_says_what_and_where(
     assert not (tmp_path / "out").exists()
 
 
-def test_verify_of_another_folder_says_what_it_needs(arfx: Run, tmp_path: Path) -> None:
+def test_verify_of_another_folder_says_what_it_needs(
+    arfx: Run, tmp_path: Path
+) -> None:
     r = arfx("verify", str(tmp_path))
     assert r.code == 3 and "truth.jsonl" in r.err
     scene = SCENE.replace(

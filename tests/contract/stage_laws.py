@@ -30,7 +30,9 @@ def random_layers(rect: Rect, seed: int) -> Layers:
             out[name] = g.random((h, w, 3), dtype=np.float32)
         elif name is Layer.NORMAL:
             v = g.normal(size=(h, w, 3))
-            out[name] = (v / np.linalg.norm(v, axis=-1, keepdims=True)).astype(np.float32)
+            out[name] = (v / np.linalg.norm(v, axis=-1, keepdims=True)).astype(
+                np.float32
+            )
         elif name is Layer.DEPTH:
             out[name] = g.uniform(0.2, 4, (h, w)).astype(np.float32)
         elif name is Layer.OBJECT_ID:
@@ -71,7 +73,9 @@ def run(at: ReadyStage, layers: Layers, f: FrameFacts) -> Mapping[Layer, np.ndar
     }
 
 
-def check_roi_law(at: ReadyStage, f: FrameFacts, seed: int, atol: float = 1e-6) -> None:
+def check_roi_law(
+    at: ReadyStage, f: FrameFacts, seed: int, atol: float = 1e-6
+) -> None:
     """run(crop(needs(out))) == crop(run(all)) on `out`."""
     stage, scene = at.stage, at.scene
     frame = scene.camera.rect
@@ -103,7 +107,9 @@ def check_pure(at: ReadyStage, f: FrameFacts) -> None:
     first = run(at, layers, f)
     second = run(at, layers, f)
     if stage.name not in RENDERER:
-        assert set(first) <= {Layer.IMAGE}, f"{stage.name} writes more than the picture"
+        assert set(first) <= {Layer.IMAGE}, (
+            f"{stage.name} writes more than the picture"
+        )
     for name in Layer:
         assert np.array_equal(layers[name], before[name]), (
             f"{stage.name} changed its input {name}"

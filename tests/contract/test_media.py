@@ -50,7 +50,12 @@ def read(info: ClipInfo, **bounds: int) -> list[Frame]:
 
 
 def through(
-    source: Path, out: Path, cuts: list[int], *, edit: Rect | None = None, **settings: str
+    source: Path,
+    out: Path,
+    cuts: list[int],
+    *,
+    edit: Rect | None = None,
+    **settings: str,
 ) -> tuple[list[Frame], OutputPlan]:
     """The clip in chunks that begin at `cuts`, joined; `edit` halves the light in a rectangle."""
     info = probe(source)
@@ -106,14 +111,19 @@ def test_key_frames_are_the_chunks_own_not_the_sources(tmp_path: Path) -> None:
     source = make_clip(tmp_path / "in.mp4", STEADY, options={"g": "2", "mbtree": "0"})
     before, _ = through(source, tmp_path / "out.mp4", [0, 8])
     assert sum(f.key for f in before) == 10
-    assert [i for i, f in enumerate(read(probe(tmp_path / "out.mp4"))) if f.key] == [0, 8]
+    assert [i for i, f in enumerate(read(probe(tmp_path / "out.mp4"))) if f.key] == [
+        0,
+        8,
+    ]
 
 
 def test_one_frame(tmp_path: Path) -> None:
     source = make_clip(tmp_path / "in.mp4", [4000])
     for codec in ("h264", "h265"):
         through(source, tmp_path / f"{codec}.mp4", [0], codec=codec)
-        assert times(read(probe(tmp_path / f"{codec}.mp4"))) == [Fraction(4000, 15360)]
+        assert times(read(probe(tmp_path / f"{codec}.mp4"))) == [
+            Fraction(4000, 15360)
+        ]
 
 
 @pytest.mark.parametrize("size", [(96, 64), (160, 96)])
@@ -146,7 +156,9 @@ def test_lossless_output_changes_only_the_rectangle(
         time_base=Fraction(1, 1000),
     )  # fmt: skip
     edit = Rect(11, 7, 30, 41)
-    before, plan = through(source, tmp_path / "out.mkv", [0, 2], edit=edit, codec="ffv1")
+    before, plan = through(
+        source, tmp_path / "out.mkv", [0, 2], edit=edit, codec="ffv1"
+    )
     assert plan.pixel_format == before[0].format.layout.plain_name
     after = read(probe(tmp_path / "out.mkv"))
     lay = before[0].format.layout
@@ -160,7 +172,10 @@ def test_lossless_output_changes_only_the_rectangle(
             sx, sy = (lay.sub_x, lay.sub_y) if k and lay.kind == "yuv" else (0, 0)
             r = (
                 Rect(
-                    grown.x0 >> sx, grown.y0 >> sy, -(-grown.x1 >> sx), -(-grown.y1 >> sy)
+                    grown.x0 >> sx,
+                    grown.y0 >> sy,
+                    -(-grown.x1 >> sx),
+                    -(-grown.y1 >> sy),
                 )
                 if k
                 else coded
@@ -221,7 +236,9 @@ def test_colours_are_read_as_they_were_made(
         ("prores", ".mov", 10),
     ],
 )
-def test_ten_bits_stay_ten(tmp_path: Path, codec: str, suffix: str, depth: int) -> None:
+def test_ten_bits_stay_ten(
+    tmp_path: Path, codec: str, suffix: str, depth: int
+) -> None:
     source = make_clip(
         tmp_path / "in.mkv",
         [0, 40],
@@ -457,7 +474,9 @@ def test_chunks_that_do_not_fit_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("codec", "name"), [("h264", "out.mp4"), ("h265", "out.mkv"), ("av1", "out.webm")]
 )
-def test_a_preset_is_tried_before_any_work(tmp_path: Path, codec: str, name: str) -> None:
+def test_a_preset_is_tried_before_any_work(
+    tmp_path: Path, codec: str, name: str
+) -> None:
     info = probe(write_clip(tmp_path / "clip.mp4", 1))
     usual = CODECS[codec].preset
     assert (

@@ -36,7 +36,12 @@ def ball_with_colours() -> Part:
     ball = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
     colours = np.pad(ball.vertices * 0.5 + 0.5, ((0, 0), (0, 1)), constant_values=1.0)
     return Part(
-        ball.vertices, ball.faces.astype(np.int32), ball.vertices, PLAIN, None, colours
+        ball.vertices,
+        ball.faces.astype(np.int32),
+        ball.vertices,
+        PLAIN,
+        None,
+        colours,
     )
 
 
@@ -58,7 +63,9 @@ def own_models() -> dict[str, Model]:
         base_colour=(0.9, 0.1, 0.1, 0.4), alpha_mode=BLEND, double_sided=True
     )
     return {
-        "box": box_model(1.0, Material(base_colour=(0.3, 0.6, 0.9, 1), roughness=0.3)),
+        "box": box_model(
+            1.0, Material(base_colour=(0.3, 0.6, 0.9, 1), roughness=0.3)
+        ),
         "coloured ball": Model((ball_with_colours(),), "z"),
         "textured, glowing": Model(
             (square(0.5, 0, texture), *box_model(0.4, PLAIN).parts), "z"
@@ -84,20 +91,32 @@ def hold_against(model: Model, pose_name: str, lens: str) -> None:
     assert np.abs(a - b).sum() < (0.12 if lens == "ideal" else 0.16) * rim + 1
     # .04 px all along the rim: nine samples a pixel, and the next texel instead of the
     # exact one under a lens
-    assert abs((a - b).sum()) < 0.04 * rim + 1, "one silhouette is larger than the other"
+    assert abs((a - b).sum()) < 0.04 * rim + 1, (
+        "one silhouette is larger than the other"
+    )
     assert np.abs(a - b).max() < 0.6
-    same = (gl[Layer.OBJECT_ID] == rays[Layer.OBJECT_ID]) & (rays[Layer.OBJECT_ID] > 0)
+    same = (gl[Layer.OBJECT_ID] == rays[Layer.OBJECT_ID]) & (
+        rays[Layer.OBJECT_ID] > 0
+    )
     # more samples meet more of the rim's slivers
     assert (rays[Layer.OBJECT_ID] > 0).sum() - same.sum() < 0.18 * rim + 1
-    inner = cv2.erode((same & (a > 0) & (b > 0)).astype(np.uint8), np.ones((3, 3))) > 0
+    inner = (
+        cv2.erode((same & (a > 0) & (b > 0)).astype(np.uint8), np.ones((3, 3))) > 0
+    )
     z, w = gl[Layer.DEPTH][inner], rays[Layer.DEPTH][inner]
     assert (
         np.median(np.abs(z - w) / w) < 2e-5
         and np.percentile(np.abs(z - w) / w, 98) < 3e-3
     )
-    turn = np.degrees(angle_between(gl[Layer.NORMAL][inner], rays[Layer.NORMAL][inner]))
+    turn = np.degrees(
+        angle_between(gl[Layer.NORMAL][inner], rays[Layer.NORMAL][inner])
+    )
     assert np.median(turn) < 0.3 and np.percentile(turn, 90) < 6
-    for name, size in ((Layer.ALBEDO, 1.0), (Layer.MATERIAL, 1.0), (Layer.EMISSIVE, 2.0)):
+    for name, size in (
+        (Layer.ALBEDO, 1.0),
+        (Layer.MATERIAL, 1.0),
+        (Layer.EMISSIVE, 2.0),
+    ):
         difference = np.abs(gl[name] - rays[name])[inner]
         assert (
             difference.mean() < 0.012 * size
@@ -121,7 +140,9 @@ def test_back_ends_agree(name: str, pose: str, lens: str) -> None:
 
 @pytest.mark.opengl
 @pytest.mark.real
-@pytest.mark.skipif(not MODELS.is_dir(), reason=f"sample models are absent ({MODELS})")
+@pytest.mark.skipif(
+    not MODELS.is_dir(), reason=f"sample models are absent ({MODELS})"
+)
 @pytest.mark.parametrize(
     "name", ["Duck.glb", "CesiumMilkTruck.glb", "suzanne.ply", "featuretype.STL"]
 )

@@ -28,13 +28,18 @@ PRINTED = {
 }
 CLASSES = {**STAGES, **PRINTED}
 CASES = [
-    (name, level) for name, stage in CLASSES.items() for level in range(len(stage.levels))
+    (name, level)
+    for name, stage in CLASSES.items()
+    for level in range(len(stage.levels))
 ]
 IDS = [f"{name}-{CLASSES[name].levels[level]}" for name, level in CASES]
 
 
 # the laws hold for any number of rays and voxels
-QUICK: dict[str, dict[str, Any]] = {"gi": {"samples": 2}, "printed gi": {"voxels": 32}}
+QUICK: dict[str, dict[str, Any]] = {
+    "gi": {"samples": 2},
+    "printed gi": {"voxels": 32},
+}
 
 
 @cache
@@ -56,7 +61,9 @@ def test_declares_what_the_contract_asks(name: str, level: int) -> None:
 @pytest.mark.parametrize("name", CLASSES)
 def test_runs_only_where_it_says_so_if_the_object_is_absent(name: str) -> None:
     stage = CLASSES[name]()
-    absent = FACTS.with_(camera_from_world=None, opacity=0.0, model_box=Rect(0, 0, 0, 0))
+    absent = FACTS.with_(
+        camera_from_world=None, opacity=0.0, model_box=Rect(0, 0, 0, 0)
+    )
     plan = plan_frame(
         [stage], {stage.name: stage.levels[0]}, absent, SCENE, SCENE.camera.rect
     )
@@ -111,7 +118,10 @@ class Blur(Stage):
         image = view[Layer.IMAGE]
         out = cv2.blur(image, (9, 9), borderType=cv2.BORDER_REPLICATE)
         if self.fault == "not deterministic":
-            out = out + np.random.default_rng().random(out.shape, dtype=np.float32) * 1e-3
+            out = (
+                out
+                + np.random.default_rng().random(out.shape, dtype=np.float32) * 1e-3
+            )
         if self.fault == "writes its input":
             image.setflags(write=True)
             image[0, 0] = 0
@@ -139,7 +149,9 @@ def test_a_missing_padding_is_caught() -> None:
         laws.check_roi_law(blur("no padding"), FACTS, 0)
 
 
-@pytest.mark.parametrize("fault", ["not deterministic", "writes its input", "undeclared"])
+@pytest.mark.parametrize(
+    "fault", ["not deterministic", "writes its input", "undeclared"]
+)
 def test_impure_stages_are_caught(fault: str) -> None:
     with pytest.raises((AssertionError, ValueError)):
         laws.check_pure(blur(fault), FACTS)

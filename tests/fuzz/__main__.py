@@ -77,7 +77,9 @@ class Hands:
         if not line:
             raise RuntimeError(f"the worker ended with {self.process.wait()}")
         answer: dict[str, Any] = json.loads(line)
-        return _fault(answer["name"], answer["fault"]) if "fault" in answer else answer
+        return (
+            _fault(answer["name"], answer["fault"]) if "fault" in answer else answer
+        )
 
     def end(self) -> None:
         assert self.process.stdin is not None
@@ -196,18 +198,27 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--only", help=f"kinds: {','.join(KINDS)}")
     parser.add_argument("--no-named", action="store_true", help="random cases alone")
     parser.add_argument(
-        "--case", action="append", help="this one, with all it said; its folder is kept"
+        "--case",
+        action="append",
+        help="this one, with all it said; its folder is kept",
     )
     parser.add_argument(
-        "--jobs", type=int, default=min(os.cpu_count() or 1, 4), help="processes at once"
+        "--jobs",
+        type=int,
+        default=min(os.cpu_count() or 1, 4),
+        help="processes at once",
     )
-    parser.add_argument("--work", help="folder for what is made; default a temporary one")
+    parser.add_argument(
+        "--work", help="folder for what is made; default a temporary one"
+    )
     parser.add_argument(
         "--keep",
         action="store_true",
         help="leave the folder of the last case of each process",
     )
-    parser.add_argument("--log", type=Path, help="append a line of JSON for each case")
+    parser.add_argument(
+        "--log", type=Path, help="append a line of JSON for each case"
+    )
     given = parser.parse_args()
     if given.seconds and not given.cases:
         given.cases = 10_000
@@ -254,7 +265,9 @@ def report(answers: list[dict[str, Any]]) -> int:
     )
     for kind in sorted({a["kind"] for a in answers}):
         mine = [a for a in answers if a["kind"] == kind]
-        last = collections.Counter(a["codes"][-1] if a["codes"] else None for a in mine)
+        last = collections.Counter(
+            a["codes"][-1] if a["codes"] else None for a in mine
+        )
         shown = (
             "".join(f"{last[c]:7}" for c in (0, 2, 3, 4))
             + f"{sum(n for c, n in last.items() if c not in (0, 2, 3, 4)):7}"
@@ -268,7 +281,9 @@ def report(answers: list[dict[str, Any]]) -> int:
     distinct: dict[str, list[str]] = {}
     for a in answers:
         for found in a["found"]:
-            distinct.setdefault(f"{a['kind']}: {signature(found)}", []).append(a["name"])
+            distinct.setdefault(f"{a['kind']}: {signature(found)}", []).append(
+                a["name"]
+            )
     for words, names in sorted(distinct.items(), key=lambda item: -len(item[1])):
         print(
             f"{len(names):5} x {words}\n        again: python -m tests.fuzz --case"

@@ -36,7 +36,9 @@ MERGES = "a: &a {x: 1}\n" + "".join(
     f"{b}: &{b} {{<<: [{eight}]}}\n" for b, eight in _EIGHT
 )
 DOUBLED = "a0: &a0 {" + ", ".join(f"k{i}: 1" for i in range(1000)) + "}\n"
-DOUBLED += "".join(f"a{i}: &a{i} {{<<: [*a{i - 1}, *a{i - 1}]}}\n" for i in range(1, 25))
+DOUBLED += "".join(
+    f"a{i}: &a{i} {{<<: [*a{i - 1}, *a{i - 1}]}}\n" for i in range(1, 25)
+)
 
 
 def text(content: str, name: str = "camera.yaml") -> Build:
@@ -99,7 +101,9 @@ def damaged(rng: random.Random, folder: Path, material: Path) -> Case:
         )
     else:
         (folder / name).write_text(mutated_text(rng, source), errors="replace")
-    return Case(folder, process(folder, material, camera=name), note=f"damaged {name}")
+    return Case(
+        folder, process(folder, material, camera=name), note=f"damaged {name}"
+    )
 
 
 def packed(rng: random.Random, folder: Path, material: Path) -> Case:
@@ -122,7 +126,9 @@ def packed(rng: random.Random, folder: Path, material: Path) -> Case:
         )
     )
     (folder / name).write_bytes(mutated_bytes(rng, data))
-    return Case(folder, process(folder, material, camera=name), note=f"damaged {name}")
+    return Case(
+        folder, process(folder, material, camera=name), note=f"damaged {name}"
+    )
 
 
 def absurd(rng: random.Random, folder: Path, material: Path) -> Case:
@@ -175,7 +181,9 @@ def others(rng: random.Random, folder: Path, material: Path) -> Case:
         elif what == 1:
             victim.rename(
                 victim.with_name(
-                    rng.choice(("a.exr", "1e309.5.png", "nan.png", "9" * 200 + ".png"))
+                    rng.choice(
+                        ("a.exr", "1e309.5.png", "nan.png", "9" * 200 + ".png")
+                    )
                 )
             )
         else:
@@ -185,7 +193,9 @@ def others(rng: random.Random, folder: Path, material: Path) -> Case:
     if kind.startswith("environment"):
         data = mutated_bytes(rng, data)
     elif kind.endswith("json") and rng.random() < 0.7:
-        data = json.dumps(mutated_tree(rng, json.loads(data))).encode(errors="replace")
+        data = json.dumps(mutated_tree(rng, json.loads(data))).encode(
+            errors="replace"
+        )
     else:
         data = mutated_text(rng, data.decode()).encode(errors="replace")
     (folder / kind).write_bytes(data)
@@ -217,7 +227,9 @@ SEEDS: dict[str, Build] = {
     "deep json": text('{"a":' * 100_000, "camera.json"),
     "deep mapping": text("".join(" " * i + "a:\n" for i in range(2000))),
     "5,000 digits": text(
-        OPENCV.format(matrix="9" * 5000 + ", 0, 79.5, 0, 152, 59.5, 0, 0, 1", lens="0")
+        OPENCV.format(
+            matrix="9" * 5000 + ", 0, 79.5, 0, 152, 59.5, 0, 0, 1", lens="0"
+        )
     ),
     "5,000 digits, json": text(
         '{"camera_matrix": ['

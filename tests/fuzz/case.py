@@ -125,9 +125,17 @@ def mutated_bytes(rng: random.Random, data: bytes) -> bytes:
         elif what == 1:
             width = rng.choice((1, 2, 4, 8))
             value = rng.choice(
-                (0, 1, (1 << 8 * width) - 1, (1 << 8 * width - 1) - 1, 1 << 8 * width - 1)
+                (
+                    0,
+                    1,
+                    (1 << 8 * width) - 1,
+                    (1 << 8 * width - 1) - 1,
+                    1 << 8 * width - 1,
+                )
             )
-            out[at : at + width] = value.to_bytes(width, rng.choice(("big", "little")))
+            out[at : at + width] = value.to_bytes(
+                width, rng.choice(("big", "little"))
+            )
         elif what == 2:
             out[at : at + size] = bytes(size)
         elif what == 3:
@@ -193,7 +201,9 @@ def mutated_tree(rng: random.Random, tree: Any) -> Any:
         elif what == 4 and isinstance(holder, list):
             holder[key:key] = [holder[key]] * rng.choice((1, 7, 3000))
         else:
-            holder[key] = json.loads(json.dumps(rng.choice([h[k] for h, k in places])))
+            holder[key] = json.loads(
+                json.dumps(rng.choice([h[k] for h, k in places]))
+            )
     return tree
 
 

@@ -72,7 +72,17 @@ def _damage(rng: random.Random, path: Path, how: str) -> None:
     if not path.exists():
         return
     how = how or rng.choice(
-        ("bytes", "bytes", "text", "tree", "empty", "gone", "folder", "pipe", "foreign")
+        (
+            "bytes",
+            "bytes",
+            "text",
+            "tree",
+            "empty",
+            "gone",
+            "folder",
+            "pipe",
+            "foreign",
+        )
     )
     data = path.read_bytes()
     if how in ("gone", "folder", "pipe"):
@@ -119,7 +129,8 @@ def closed(*descriptors: int, command: list[str] | None = None) -> Build:
 def full(descriptor: int, command: list[str] | None = None) -> Build:
     """A standard stream onto a full disk."""
     return _started(
-        lambda: os.dup2(os.open("/dev/full", os.O_WRONLY), descriptor) and None, command
+        lambda: os.dup2(os.open("/dev/full", os.O_WRONLY), descriptor) and None,
+        command,
     )
 
 

@@ -95,7 +95,9 @@ def hostile(rng: random.Random, folder: Path, material: Path) -> Case:
     """An option of the command line with a value that nobody expects."""
     name = rng.choice(OPTIONS)
     value = (
-        rng.choice(SHAPES).replace("{0}", "{}").replace("{}", rng.choice(NUMBERS + WORDS))
+        rng.choice(SHAPES)
+        .replace("{0}", "{}")
+        .replace("{}", rng.choice(NUMBERS + WORDS))
     )
     value = value.replace("\0", "")[:100_000]
     args = process(folder, material)

@@ -75,7 +75,11 @@ def judge(
     after = snapshot(case.folder)
     there = os.path.normpath(case.output or "-") in after
     judged = ended if case.stop is None else ended[1:]
-    if case.stop_again is not None and ended[1:] and ended[1].code == -case.stop_again[0]:
+    if (
+        case.stop_again is not None
+        and ended[1:]
+        and ended[1].code == -case.stop_again[0]
+    ):
         judged = ended[2:]
     found += [
         ("exit code", f"{e.code}: {_first(e.err)}")
@@ -154,7 +158,9 @@ def _stopped(case: Case, first: Ended, there: bool) -> Found:
     ):
         return [("signal lost", number.name)]
     if there and first.code not in (0, -9):
-        return [("exit code", f"{number.name}: {first.code}, and the output is there")]
+        return [
+            ("exit code", f"{number.name}: {first.code}, and the output is there")
+        ]
     return []
 
 
@@ -170,13 +176,20 @@ def _files(
             wrote and "--overwrite" in case.args and path == output
         ):
             found.append(
-                ("input changed", f"{path}: {'gone' if path not in after else 'other'}")
+                (
+                    "input changed",
+                    f"{path}: {'gone' if path not in after else 'other'}",
+                )
             )
     numbered = re.sub(
         r"%0?\d*d", lambda _: r"\d+", re.escape(output.replace("%%", "\0"))
     ).replace(re.escape("\0"), "%")
     resumable = (
-        case.keeps or case.lost or case.beside or case.stop or {5, 130, 143} & set(codes)
+        case.keeps
+        or case.lost
+        or case.beside
+        or case.stop
+        or {5, 130, 143} & set(codes)
     )
     for path in sorted(set(after) - set(before)):
         top = path.partition(os.sep)[0]
@@ -187,13 +200,19 @@ def _files(
             or output.startswith(path + os.sep)
         ):
             continue
-        if path in case.leaves or top in case.leaves or (resumable and ".job" in path):
+        if (
+            path in case.leaves
+            or top in case.leaves
+            or (resumable and ".job" in path)
+        ):
             continue
         if path == output and (
             case.silent or case.stop
         ):  # it is complete, which _output looks at
             continue
-        found.append(("output without exit 0" if path == output else "file left", path))
+        found.append(
+            ("output without exit 0" if path == output else "file left", path)
+        )
         break
     return found
 
@@ -230,7 +249,9 @@ def _output(case: Case, last: Ended) -> Found:
                 held = sum(1 for _ in c.decode(video=0))
     except (OSError, av.FFmpegError, IndexError) as e:
         return [("output broken", str(e))]
-    return [] if held == wanted else [("output broken", f"{held} frames, {wanted} told")]
+    return (
+        [] if held == wanted else [("output broken", f"{held} frames, {wanted} told")]
+    )
 
 
 def _first(text: str) -> str:

@@ -38,7 +38,9 @@ def long_job(folder: Path, material: Path, *more: str) -> Case:
 
 def killed(rng: random.Random, folder: Path, material: Path) -> Case:
     case = long_job(
-        folder, material, *rng.choice(((), (), ("--workers", "1"), ("--workers", "2")))
+        folder,
+        material,
+        *rng.choice(((), (), ("--workers", "1"), ("--workers", "2"))),
     )
     known = json.loads((material / "long.json").read_text())
 

@@ -120,8 +120,12 @@ def _clips(folder: Path) -> None:
             str(folder / "depth" / f"{i:04d}.png"),
             np.full((120, 160), 400 + i, np.uint16),
         )
-    Image.fromarray(np.full((16, 32, 3), 128, np.uint8)).save(folder / "environment.png")
-    cv2.imwrite(str(folder / "environment.hdr"), np.full((16, 32, 3), 0.5, np.float32))
+    Image.fromarray(np.full((16, 32, 3), 128, np.uint8)).save(
+        folder / "environment.png"
+    )
+    cv2.imwrite(
+        str(folder / "environment.hdr"), np.full((16, 32, 3), 0.5, np.float32)
+    )
 
 
 def _models(folder: Path) -> None:
@@ -138,14 +142,17 @@ def _models(folder: Path) -> None:
     textured = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     textured.visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
     textured.export(folder / "model.glb")
-    for name, data in trimesh.exchange.gltf.export_gltf(trimesh.Scene(textured)).items():
+    for name, data in trimesh.exchange.gltf.export_gltf(
+        trimesh.Scene(textured)
+    ).items():
         (folder / name).write_bytes(data)
     gltf = json.loads((folder / "model.gltf").read_text())
     image.save(folder / "texture.png")
     gltf["images"] = [{"uri": "texture.png"}]
     (folder / "model.gltf").write_text(json.dumps(gltf))
     faces = "".join(
-        f"f {a + 1}/{a + 1} {b + 1}/{b + 1} {c + 1}/{c + 1}\n" for a, b, c in mesh.faces
+        f"f {a + 1}/{a + 1} {b + 1}/{b + 1} {c + 1}/{c + 1}\n"
+        for a, b, c in mesh.faces
     )
     points = "".join(f"v {x} {y} {z}\n" for x, y, z in mesh.vertices) + "".join(
         f"vt {u:.4f} {v:.4f}\n" for u, v in uv

@@ -183,7 +183,9 @@ def _instances(document: Document) -> None:
 
 def _doubling(document: Document) -> None:
     """Thirty nodes that each hold the next one twice: a billion instances."""
-    document["nodes"] = [{"children": [i + 1, i + 1]} for i in range(30)] + [{"mesh": 0}]
+    document["nodes"] = [{"children": [i + 1, i + 1]} for i in range(30)] + [
+        {"mesh": 0}
+    ]
     document["scenes"], document["scene"] = [{"nodes": [0]}], 0
 
 
@@ -205,7 +207,8 @@ def damaged(rng: random.Random, folder: Path, material: Path) -> Case:
         )
     elif victim == name and name == "model.gltf" and rng.random() < 0.8:
         path.write_text(
-            json.dumps(mutated_tree(rng, json.loads(path.read_text()))), errors="replace"
+            json.dumps(mutated_tree(rng, json.loads(path.read_text()))),
+            errors="replace",
         )
     elif (
         target.suffix in (".obj", ".off")
@@ -217,7 +220,8 @@ def damaged(rng: random.Random, folder: Path, material: Path) -> Case:
         )
         if name == "model.obj" and rng.random() < 0.4:
             (folder / "model.mtl").write_text(
-                mutated_text(rng, (material / "model.mtl").read_text()), errors="replace"
+                mutated_text(rng, (material / "model.mtl").read_text()),
+                errors="replace",
             )
     else:
         target.write_bytes(mutated_bytes(rng, target.read_bytes()))
@@ -226,7 +230,9 @@ def damaged(rng: random.Random, folder: Path, material: Path) -> Case:
         given = f"other.{rng.choice(SUFFIXES)}"
         path.rename(folder / given)
     return Case(
-        folder, process(folder, material, model=given), note=f"damaged {victim} of {name}"
+        folder,
+        process(folder, material, model=given),
+        note=f"damaged {victim} of {name}",
     )
 
 
@@ -269,16 +275,24 @@ def inline(data: bytes) -> str:
 
 
 SEEDS: dict[str, Build] = {
-    "buffer outside": changed(set_at("buffers", 0, "uri", value="../outside/secret.bin")),
-    "buffer of the system": changed(set_at("buffers", 0, "uri", value="/etc/hostname")),
+    "buffer outside": changed(
+        set_at("buffers", 0, "uri", value="../outside/secret.bin")
+    ),
+    "buffer of the system": changed(
+        set_at("buffers", 0, "uri", value="/etc/hostname")
+    ),
     "buffer at an address": changed(
         set_at("buffers", 0, "uri", value="http://127.0.0.1:9/a.bin")
     ),
-    "picture outside": changed(set_at("images", 0, "uri", value="../outside/secret.png")),
+    "picture outside": changed(
+        set_at("images", 0, "uri", value="../outside/secret.png")
+    ),
     "picture outside, named in a glb": changed(
         set_at("images", 0, value={"uri": "../outside/secret.png"}), binary=True
     ),
-    "picture that is not there": changed(set_at("images", 0, "uri", value="none.png")),
+    "picture that is not there": changed(
+        set_at("images", 0, "uri", value="none.png")
+    ),
     "picture by a link outside": texture(
         lambda p: p.symlink_to(p.parent.parent / "outside" / "secret.png")
     ),
@@ -299,12 +313,18 @@ SEEDS: dict[str, Build] = {
     "animation": changed(_animated),
     "accessor of no type": changed(set_at("accessors", 0, "type", value="VEC9")),
     "accessor of a list": changed(set_at("accessors", 0, "type", value=[])),
-    "accessor component type": changed(set_at("accessors", 0, "componentType", value=1)),
+    "accessor component type": changed(
+        set_at("accessors", 0, "componentType", value=1)
+    ),
     "accessor of 4 billion": changed(set_at("accessors", 0, "count", value=2**32)),
     "accessor offset": changed(set_at("accessors", 0, "byteOffset", value=-4)),
     "material NaN": changed(
         set_at(
-            "materials", 0, "pbrMetallicRoughness", "roughnessFactor", value=float("nan")
+            "materials",
+            0,
+            "pbrMetallicRoughness",
+            "roughnessFactor",
+            value=float("nan"),
         )
     ),
     "material infinity": changed(
@@ -320,7 +340,9 @@ SEEDS: dict[str, Build] = {
         set_at("materials", 0, "emissiveFactor", value=[1e308] * 3)
     ),
     "node of nothing": changed(set_at("nodes", value=[{"mesh": 7}])),
-    "transform of NaN": changed(set_at("nodes", 0, "matrix", value=[float("nan")] * 16)),
+    "transform of NaN": changed(
+        set_at("nodes", 0, "matrix", value=[float("nan")] * 16)
+    ),
     "vt 0": edited("model.obj", "vt ", "vt 0\n#"),
     "f 0": edited("model.obj", "f 1/1", "f 0/0"),
     "Kd nan": edited("model.mtl", "Kd 0.8", "Kd nan"),

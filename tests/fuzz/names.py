@@ -55,7 +55,9 @@ def onto(target: str, *more: str, what: str = "") -> Build:
                 shutil.copy(material / name, folder / name)
             shutil.copy(material / "texture.png", folder / "000001.png")
             (folder / "model.mtl").write_text(
-                (material / "model.mtl").read_text().replace("texture.png", "000001.png")
+                (material / "model.mtl")
+                .read_text()
+                .replace("texture.png", "000001.png")
             )
             args[args.index("--model") + 1] = "model.obj"
         if what == "hard link":
@@ -88,7 +90,9 @@ def foreign_job(rng: random.Random, folder: Path, material: Path) -> Case:
 def foreign_report(rng: random.Random, folder: Path, material: Path) -> Case:
     (folder / "report").mkdir()
     (folder / "report" / "report.json").write_text("precious")
-    return Case(folder, process(folder, material, report="report"), codes=frozenset({2}))
+    return Case(
+        folder, process(folder, material, report="report"), codes=frozenset({2})
+    )
 
 
 def at_once(*more: str) -> Build:

@@ -69,7 +69,9 @@ def any_case(rng: random.Random, folder: Path, material: Path) -> Case:
         for section, key in chosen
     ]
     effect = chosen[0][0]
-    pipeline = f"lightmap,{effect}" if effect in STAGES and effect not in ALWAYS else None
+    pipeline = (
+        f"lightmap,{effect}" if effect in STAGES and effect not in ALWAYS else None
+    )
     case = setting(*given, pipeline=pipeline)(rng, folder, material)
     if chosen[0][0] in ("holdout", "hide"):
         import shutil
@@ -92,7 +94,9 @@ SEEDS: dict[str, Build] = {
     ),
     "aperture 1e6": setting("dof.aperture_px=1e6", pipeline="lightmap,dof"),
     "map_level 60": setting("light.map_level=60"),
-    "cell 1e-6 px": setting("watercolor.cell_px=1e-6", pipeline="lightmap,watercolor"),
+    "cell 1e-6 px": setting(
+        "watercolor.cell_px=1e-6", pipeline="lightmap,watercolor"
+    ),
     "line width 1e9 px": setting(
         "watercolor.line_width_px=1e9", pipeline="lightmap,watercolor"
     ),

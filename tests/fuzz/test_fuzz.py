@@ -96,10 +96,16 @@ def test_files_that_come_go_or_change_are_found(tmp_path: Path) -> None:
     assert kinds(case, GOOD, before=before) == {"input changed"}
 
 
-def test_a_signal_in_the_first_moments_belongs_to_the_interpreter(tmp_path: Path) -> None:
+def test_a_signal_in_the_first_moments_belongs_to_the_interpreter(
+    tmp_path: Path,
+) -> None:
     case = Case(tmp_path, ["process"], stop=(signal.SIGINT, "time", 0.1))
-    words = 'Traceback (most recent call last):\n  File "{}", line 7\nKeyboardInterrupt\n'
-    assert not kinds(case, Ended(1, 0.1, 0, "", words.format("/usr/lib/python3/site.py")))
+    words = (
+        'Traceback (most recent call last):\n  File "{}", line 7\nKeyboardInterrupt\n'
+    )
+    assert not kinds(
+        case, Ended(1, 0.1, 0, "", words.format("/usr/lib/python3/site.py"))
+    )
     assert kinds(case, Ended(1, 0.1, 0, "", words.format("/x/arfx_cli/main.py"))) == {
         "traceback",
         "exit code",

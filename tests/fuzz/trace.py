@@ -117,7 +117,12 @@ class Trace:
                     "connect",
                     str(args[-1] if event == "socket.connect" else args[0]),
                 ]
-            elif event in ("subprocess.Popen", "os.exec", "os.posix_spawn", "os.system"):
+            elif event in (
+                "subprocess.Popen",
+                "os.exec",
+                "os.posix_spawn",
+                "os.system",
+            ):
                 told = ["exec", os.fsdecode(args[0])]
             else:
                 return
@@ -130,7 +135,11 @@ class Trace:
         lines = self._log.read_bytes().splitlines()
         calls = map(json.loads, lines) if self._listens else _calls(lines)
         return sorted(
-            {(what, which) for what, which in calls if not self._may(what, which, case)}
+            {
+                (what, which)
+                for what, which in calls
+                if not self._may(what, which, case)
+            }
         )
 
     def _may(self, what: str, which: str, case: Case) -> bool:

@@ -105,7 +105,11 @@ def write(
     camera = clip_camera(*size)
     with av.open(str(path), "w") as out:
         stream = out.add_stream("ffv1", rate=30)
-        stream.width, stream.height, stream.pix_fmt, stream.time_base = *size, fmt, base
+        stream.width, stream.height, stream.pix_fmt, stream.time_base = (
+            *size,
+            fmt,
+            base,
+        )
         stream.codec_context.time_base = base
         for i, at in enumerate(pts):
             rgb = (
@@ -113,7 +117,9 @@ def write(
                 if min(size) < 64
                 else picture(pose_at(i, len(pts)), camera)
             )
-            frame = av.VideoFrame.from_ndarray(rgb, format="rgb24").reformat(format=fmt)
+            frame = av.VideoFrame.from_ndarray(rgb, format="rgb24").reformat(
+                format=fmt
+            )
             frame.pts, frame.time_base = at, base
             for packet in stream.encode(frame):
                 out.mux(packet)
@@ -159,7 +165,9 @@ def damaged(rng: random.Random, folder: Path, material: Path) -> Case:
     (folder / name).write_bytes(mutated_bytes(rng, (material / source).read_bytes()))
     args = process(folder, material, clip=name)
     if rng.random() < 0.1:
-        return Case(folder, ["inspect", name, "--json"], None, note=f"damaged {source}")
+        return Case(
+            folder, ["inspect", name, "--json"], None, note=f"damaged {source}"
+        )
     return Case(folder, args, note=f"damaged {source}")
 
 
@@ -170,7 +178,9 @@ def damaged_sound(rng: random.Random, folder: Path, material: Path) -> Case:
     data = bytearray((material / "clip.ts").read_bytes())
     data[data.rfind(b"\xff\xf1\x50") + 1] = 0
     (folder / "clip.ts").write_bytes(data)
-    return Case(folder, process(folder, material, clip="clip.ts"), codes=frozenset({0}))
+    return Case(
+        folder, process(folder, material, clip="clip.ts"), codes=frozenset({0})
+    )
 
 
 def stream(rng: random.Random, folder: Path, material: Path) -> Case:
@@ -191,7 +201,9 @@ def stream(rng: random.Random, folder: Path, material: Path) -> Case:
     )
     codes = REFUSED if lost else frozenset({0})
     note = f"{len(whole)} packets, without {sorted(lost)}"
-    return Case(folder, process(folder, material, clip="clip.ts"), codes=codes, note=note)
+    return Case(
+        folder, process(folder, material, clip="clip.ts"), codes=codes, note=note
+    )
 
 
 def odd(rng: random.Random, folder: Path, material: Path) -> Case:
@@ -242,9 +254,15 @@ def odd(rng: random.Random, folder: Path, material: Path) -> Case:
         write(folder / "clip.nut", pts, base, size, fmt)
     except av.FFmpegError:  # no encoder for that
         write(folder / "clip.nut", pts, base)
-    extra = {"start": rng.choice(("0", "1s", "1e9", "-1"))} if rng.random() < 0.2 else {}
+    extra = (
+        {"start": rng.choice(("0", "1s", "1e9", "-1"))} if rng.random() < 0.2 else {}
+    )
     args = process(
-        folder, material, clip="clip.nut", o=rng.choice(("out.mkv", "out.mp4")), **extra
+        folder,
+        material,
+        clip="clip.nut",
+        o=rng.choice(("out.mkv", "out.mp4")),
+        **extra,
     )
     return Case(
         folder, args, args[args.index("-o") + 1], note=f"{size} {fmt} {pts} of {base}"
@@ -252,15 +270,15 @@ def odd(rng: random.Random, folder: Path, material: Path) -> Case:
 
 
 def listed(rng: random.Random, folder: Path, material: Path) -> Case:
-    return script(rng.choice(list(SCRIPTS)), rng.choice(TARGETS), rng.choice(SUFFIXES))(
-        rng, folder, material
-    )
+    return script(
+        rng.choice(list(SCRIPTS)), rng.choice(TARGETS), rng.choice(SUFFIXES)
+    )(rng, folder, material)
 
 
 def any_case(rng: random.Random, folder: Path, material: Path) -> Case:
-    return rng.choices((damaged, odd, listed, huge_header, stream), (6, 2, 2, 1, 2))[0](
-        rng, folder, material
-    )
+    return rng.choices((damaged, odd, listed, huge_header, stream), (6, 2, 2, 1, 2))[
+        0
+    ](rng, folder, material)
 
 
 SEEDS: dict[str, Build] = {
@@ -269,7 +287,9 @@ SEEDS: dict[str, Build] = {
         "ffconcat", "../outside/secret.mp4", ".ffconcat"
     ),
     "m3u8 over a ts": script("m3u8", "part.ts", ".m3u8"),
-    "m3u8 named mp4 of a file outside": script("m3u8", "../outside/secret.ts", ".mp4"),
+    "m3u8 named mp4 of a file outside": script(
+        "m3u8", "../outside/secret.ts", ".mp4"
+    ),
     "m3u8 of an address": script("m3u8", "http://127.0.0.1:9/a.ts", ".m3u8"),
     "dash manifest": script("mpd", "part.mp4", ".mpd"),
     "sdp": script("sdp", "", ".sdp"),
@@ -282,7 +302,9 @@ SEEDS: dict[str, Build] = {
     "gif": as_suffix("clip.gif", "clip.gif"),
     "text as a clip": as_suffix("job.toml", "clip.mp4"),
     "gaps of days": times([0, 1, 90_000_000, 90_000_001, 10**12]),
-    "gaps of hours, coarse times": times([0, 7200, 7201, 14400], Fraction(1, 1), ".nut"),
+    "gaps of hours, coarse times": times(
+        [0, 7200, 7201, 14400], Fraction(1, 1), ".nut"
+    ),
     "one frame": times([0]),
     "a late first frame": times([10**9, 10**9 + 33, 10**9 + 66]),
     "numbers in the header": huge_header,

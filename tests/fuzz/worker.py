@@ -32,14 +32,19 @@ from tests.fuzz.trace import Trace
 
 MOST_SECONDS, MOST_BYTES = 60.0, 2 << 30
 LONGEST = 600.0  # of the clock, however little the machine gave
-BLOCKED = (
-    0.01  # seconds of work in a second: less is waiting for something that does not come
-)
+BLOCKED = 0.01  # seconds of work in a second: less is waiting for something that does not come
 KINDS = {
     "videos": (videos, 17), "models": (models, 20), "cameras": (cameras, 18), "jobs": (jobs, 15), "settings": (settings, 16),
     "names": (names, 5), "faults": (faults, 4), "kills": (kills, 5),
 }  # fmt: skip
-EVENTS = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.link", "shutil.rmtree")
+EVENTS = (
+    "os.rename",
+    "os.remove",
+    "os.mkdir",
+    "os.rmdir",
+    "os.link",
+    "shutil.rmtree",
+)
 
 
 def case_of(name: str, folder: Path, material: Path) -> Case:
@@ -88,7 +93,9 @@ class Worker:
             for effect in ("dof", "watercolor", "gi"):
                 run(
                     [
-                        *process(folder, self.material, pipeline=f"lightmap,{effect}"),
+                        *process(
+                            folder, self.material, pipeline=f"lightmap,{effect}"
+                        ),
                         "--overwrite",
                         "--quiet",
                     ]
@@ -104,7 +111,9 @@ class Worker:
                 self.attempt(whole, whole.args),
             )
             assert first.code == second.code == 0, first.err
-            cold = self.attempt(Case(folder, [], None, cold=True), ["process", "--help"])
+            cold = self.attempt(
+                Case(folder, [], None, cold=True), ["process", "--help"]
+            )
             placed, events = map(int, whole.count.read_text().split())
             facts = {
                 "digest": digest(folder / "out.mp4"), "short": digest(folder / "small.mp4"),
@@ -116,7 +125,10 @@ class Worker:
         shutil.rmtree(folder)
 
     def case(self, name: str) -> dict[str, Any]:
-        folder, outside = self.place / "case" / "here", self.place / "case" / "outside"
+        folder, outside = (
+            self.place / "case" / "here",
+            self.place / "case" / "outside",
+        )
         shutil.rmtree(folder.parent, ignore_errors=True)
         folder.mkdir(parents=True)
         shutil.copytree(self.material / "outside", outside)
@@ -131,7 +143,9 @@ class Worker:
             ended.append(self.attempt(case, case.args, case.stop))
             if case.stop is not None:
                 case.note += f", {phase_of(folder / 'out.mp4')}"
-            complete = case.stop and (ended[0].code == 0 or (folder / "out.mp4").exists())
+            complete = case.stop and (
+                ended[0].code == 0 or (folder / "out.mp4").exists()
+            )
             if case.after is not None and not complete and not ended[0].why:
                 if case.between is not None:
                     case.between()
@@ -140,7 +154,9 @@ class Worker:
                 if not (folder / "out.mp4").exists():
                     ended.append(self.attempt(case, case.after))
         found = judge(case, ended, before, self.trace.read(case))
-        if snapshot(outside) != beside or {p.name for p in folder.parent.iterdir()} > {
+        if snapshot(outside) != beside or {
+            p.name for p in folder.parent.iterdir()
+        } > {
             "here",
             "outside",
             "here.job",
@@ -304,7 +320,9 @@ def count_events(stop: tuple[int, str, float] | None, count: Path | None) -> Non
     def hook(event: str, args: tuple[Any, ...]) -> None:
         nonlocal seen, placed
         if event in EVENTS or (
-            event == "open" and isinstance(args[1], str) and set(args[1]) & set("wax+")
+            event == "open"
+            and isinstance(args[1], str)
+            and set(args[1]) & set("wax+")
         ):
             seen += 1
             if event == "os.rename" and Path(os.fsdecode(args[1])).name == "out.mp4":

@@ -115,6 +115,8 @@ def write_failure(name: str, actual: np.ndarray, expected: np.ndarray) -> Path:
     write_rgb(folder / "actual.png", actual)
     write_rgb(folder / "expected.png", expected)
     if actual.shape == expected.shape:
-        ten = np.clip(128 + 10 * (actual.astype(int) - expected), 0, 255).astype(np.uint8)
+        ten = np.clip(128 + 10 * (actual.astype(int) - expected), 0, 255).astype(
+            np.uint8
+        )
         write_rgb(folder / "difference_x10.png", ten)
     return folder

@@ -40,7 +40,9 @@ def source_clip(folder: Path) -> Path:
     short = whole.model_copy(
         update={"shot": (whole.shot[0].model_copy(update={"frames": 4}),)}
     )
-    make_clip(short, folder, SCENE, lambda *_: None, overwrite=True, truth_pictures=False)
+    make_clip(
+        short, folder, SCENE, lambda *_: None, overwrite=True, truth_pictures=False
+    )
     return folder
 
 
@@ -67,7 +69,9 @@ def test_preset_gives_the_expected_picture(
         first_frame(preset, clip, tmp_path),
         read_rgb(expected_file(preset)),
     )
-    broken = broken_bounds(differences(actual, expected), read_tolerance(SCENE)["golden"])
+    broken = broken_bounds(
+        differences(actual, expected), read_tolerance(SCENE)["golden"]
+    )
     assert not broken, (
         f"{broken}: see {write_failure(f'preset-{preset.stem}', actual, expected)}"
     )

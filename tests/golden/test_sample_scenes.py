@@ -29,7 +29,9 @@ NAMES = sorted(p.name for p in SCENES.iterdir() if (p / "scene.toml").is_file())
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_scene_matches_its_truth_and_its_golden_frames(name: str, tmp_path: Path) -> None:
+def test_scene_matches_its_truth_and_its_golden_frames(
+    name: str, tmp_path: Path
+) -> None:
     scene = SCENES / name
     done = verified(scene, tmp_path)
     golden = read_tolerance(scene)["golden"]
@@ -49,11 +51,16 @@ def test_scene_matches_its_truth_and_its_golden_frames(name: str, tmp_path: Path
 def test_every_scene_states_bounds_and_reasons(name: str) -> None:
     tolerance = read_tolerance(SCENES / name)
     assert (
-        len(tolerance["golden"]["reason"]) > 20 and len(tolerance["truth"]["reason"]) > 20
+        len(tolerance["golden"]["reason"]) > 20
+        and len(tolerance["truth"]["reason"]) > 20
     )
     assert tolerance["golden"]["frames"]
     assert tolerance["truth"]["max"]["arfx.flips"] == 0
-    for key in ("arfx.rotation_deg.median", "arfx.position_mm.median", "arfx.corner_px"):
+    for key in (
+        "arfx.rotation_deg.median",
+        "arfx.position_mm.median",
+        "arfx.corner_px",
+    ):
         assert tolerance["truth"]["max"][key] > 0
 
 
@@ -69,7 +76,10 @@ def test_every_scene_states_bounds_and_reasons(name: str) -> None:
 )
 def test_the_comparison_rejects_what_an_eye_rejects(fault: str) -> None:
     scene = SCENES / "0001-orbit"
-    expected, golden = read_rgb(scene / "expected.png"), read_tolerance(scene)["golden"]
+    expected, golden = (
+        read_rgb(scene / "expected.png"),
+        read_tolerance(scene)["golden"],
+    )
     h, w = expected.shape[:2]
     box = (slice(h // 3, 2 * h // 3), slice(w // 5, 3 * w // 10))
     actual = expected.copy()
@@ -90,10 +100,14 @@ def test_the_comparison_rejects_what_an_eye_rejects(fault: str) -> None:
 
 def test_the_comparison_accepts_the_same_picture_and_one_grey_level() -> None:
     scene = SCENES / "0001-orbit"
-    expected, golden = read_rgb(scene / "expected.png"), read_tolerance(scene)["golden"]
+    expected, golden = (
+        read_rgb(scene / "expected.png"),
+        read_tolerance(scene)["golden"],
+    )
     assert not broken_bounds(differences(expected, expected), golden)
     nearly = np.clip(
-        expected.astype(int) + np.random.default_rng(0).integers(-1, 2, expected.shape),
+        expected.astype(int)
+        + np.random.default_rng(0).integers(-1, 2, expected.shape),
         0,
         255,
     ).astype(np.uint8)

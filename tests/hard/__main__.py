@@ -49,14 +49,19 @@ def case_rows(jobs: int) -> list[Row]:
         ]
         shared = ["-n", str(jobs), "--dist", "worksteal"] if jobs > 1 else []
         subprocess.run(
-            [*command, *shared, *nodes], cwd=ROOT, check=False, stdout=subprocess.DEVNULL
+            [*command, *shared, *nodes],
+            cwd=ROOT,
+            check=False,
+            stdout=subprocess.DEVNULL,
         )
         cases = list(ElementTree.parse(told).iter("testcase"))
     rows = []
     for case in CASES:
         names = {node.split("::")[1] for node in case.tests}
         mine = [c for c in cases if c.attrib["name"].split("[")[0] in names]
-        faults = [fault for c in mine for fault in (*c.iter("failure"), *c.iter("error"))]
+        faults = [
+            fault for c in mine for fault in (*c.iter("failure"), *c.iter("error"))
+        ]
         for fault in faults:
             print(fault.text)
         skipped = [c for c in mine if c.find("skipped") is not None]
@@ -82,7 +87,9 @@ def sweep_rows(results: list[Result], seconds: float) -> list[Row]:
             "holds" if not r.wrong else f"{len(r.wrong)} WRONG: {'; '.join(r.wrong)}"
         )
         verdict += (
-            ", as printed: told, not limited" if r.formula in r.sweep.unbounded else ""
+            ", as printed: told, not limited"
+            if r.formula in r.sweep.unbounded
+            else ""
         )
         either = len(r.points) - answers - refusals
         worst = "none" if r.worst is None else f"{r.worst:.1e} {r.sweep.unit}"
@@ -92,7 +99,13 @@ def sweep_rows(results: list[Result], seconds: float) -> list[Row]:
         )
         name = f"{r.sweep.name}, {r.formula}, {r.kind}"
         rows.append(
-            (name, f"towards {r.sweep.towards}", verdict, told, seconds / len(results))
+            (
+                name,
+                f"towards {r.sweep.towards}",
+                verdict,
+                told,
+                seconds / len(results),
+            )
         )
     return rows
 
@@ -127,7 +140,10 @@ def main() -> int:
     )
     parser.add_argument("--only", choices=PARTS, help="one part of it")
     parser.add_argument(
-        "--jobs", type=int, default=min(os.cpu_count() or 1, 4), help="processes at once"
+        "--jobs",
+        type=int,
+        default=min(os.cpu_count() or 1, 4),
+        help="processes at once",
     )
     parser.add_argument("--scenes", help="of the scenes only these: 0901,0904")
     given = parser.parse_args()
@@ -195,7 +211,9 @@ class Table:
         lines += [
             f"| {r[0]} | {r[1]} | {r[2]} | {r[3]} | {r[4]:.1f} |" for r in self.rows()
         ]
-        (self._folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        (self._folder / "table.md").write_text(
+            "\n".join(lines) + "\n", encoding="utf-8"
+        )
 
 
 if __name__ == "__main__":

@@ -36,7 +36,9 @@ _FPS = 30.0
 _CELLS = 8
 WITHIN = float(chi2.ppf(0.95, 6))
 MOST_OFF_PX = 6.0  # in the picture, of 360: what is fading may be that far off
-MOST_TURN_DEG = 12.0  # of a pose that is shown: a mirrored one is off by twice its tilt
+MOST_TURN_DEG = (
+    12.0  # of a pose that is shown: a mirrored one is off by twice its tilt
+)
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,11 @@ def _swaying(u: float, **changes: float) -> Pose:
         0.02 * np.sin(6 * u),
     )
     return _pose(
-        **{"turn": turn, "x_px": 20 + 12 * np.sin(4 * u), "y_px": 10 + 8 * np.sin(5 * u)}
+        **{
+            "turn": turn,
+            "x_px": 20 + 12 * np.sin(4 * u),
+            "y_px": 10 + 8 * np.sin(5 * u),
+        }
         | changes
     )  # type: ignore[arg-type]
 
@@ -123,10 +129,17 @@ CLIPS: tuple[Clip, ...] = (
     ),
     Clip(
         "turns edge-on",
-        lambda u: Shown(_pose(130, (_HALF * 0.999 * _there(u), 0.1, 0.05 * u), y_px=0.0)),
+        lambda u: Shown(
+            _pose(130, (_HALF * 0.999 * _there(u), 0.1, 0.05 * u), y_px=0.0)
+        ),
     ),
-    Clip("leaves by a border", lambda u: Shown(_swaying(u, x_px=20 + 330 * _there(u)))),
-    Clip("fades in fog", lambda u: Shown(_swaying(u), contrast=_log(1, 0.01, _there(u)))),
+    Clip(
+        "leaves by a border", lambda u: Shown(_swaying(u, x_px=20 + 330 * _there(u)))
+    ),
+    Clip(
+        "fades in fog",
+        lambda u: Shown(_swaying(u), contrast=_log(1, 0.01, _there(u))),
+    ),
     Clip(
         "is blurred by 1 to 60 px",
         lambda u: Shown(_swaying(u), blur_px=_log(1, 60, _there(u))),
@@ -136,7 +149,8 @@ CLIPS: tuple[Clip, ...] = (
         lambda u: Shown(_swaying(u), motion_px=_log(1, 60, _there(u))),
     ),
     Clip(
-        "is covered by 0 to 95 %", lambda u: Shown(_swaying(u), covered=0.95 * _there(u))
+        "is covered by 0 to 95 %",
+        lambda u: Shown(_swaying(u), covered=0.95 * _there(u)),
     ),
     # the first tenths of a pixel move a whole side by less than real prints are off
     Clip(
@@ -148,7 +162,9 @@ CLIPS: tuple[Clip, ...] = (
         "lies in the dark",
         lambda u: Shown(_swaying(u), exposure=_log(1, 0.002, _there(u))),
     ),
-    Clip("drowns in noise", lambda u: Shown(_swaying(u), noise=_log(1, 90, _there(u)))),
+    Clip(
+        "drowns in noise", lambda u: Shown(_swaying(u), noise=_log(1, 90, _there(u)))
+    ),
     Clip(
         "the camera zooms",
         lambda u: Shown(_swaying(u, side_px=70), zoom=_log(1, 2.5, _there(u))),
@@ -194,7 +210,9 @@ def frame(shown: Shown, seed: int) -> np.ndarray:
             shown.slant * (y1 - y0),
         )  # as of a hand that comes in from the left
         hand = np.array([[x0, y0], [edge, y0], [edge - slant, y1], [x0, y1]])
-        cv2.fillPoly(code, [np.rint(hand * 16).astype(np.int32)], 0.55, cv2.LINE_AA, 4)
+        cv2.fillPoly(
+            code, [np.rint(hand * 16).astype(np.int32)], 0.55, cv2.LINE_AA, 4
+        )
     light = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
     light = cv2.GaussianBlur(light, (0, 0), shown.blur_px)
     if shown.motion_px > 1:
@@ -279,7 +297,9 @@ class Found:
             out.append(f"absent in {missing} frames in which the print is readable")
         if (step := float(np.abs(np.diff(self.opacity)).max())) > 0.5:
             out.append(f"opacity jumps by {step:.2f}")
-        if (most := float(np.nanmax(self.error_px[shown], initial=0.0))) > MOST_OFF_PX:
+        if (
+            most := float(np.nanmax(self.error_px[shown], initial=0.0))
+        ) > MOST_OFF_PX:
             out.append(f"the object is {most:.1f} px off")
         return out
 
@@ -323,7 +343,9 @@ def _compare(f: FrameFacts, s: Shown) -> tuple[float, ...]:
     skew = np.array([[0, z[2], -z[1]], [-z[2], 0, z[0]], [z[1], -z[0], 0]])
     rows = j @ np.concatenate([skew, np.eye(3)], 1)
     stated = float(np.sqrt(np.trace(rows @ f.pose_covariance @ rows.T)))
-    distance = float(error @ np.linalg.pinv(f.pose_covariance, hermitian=True) @ error)
+    distance = float(
+        error @ np.linalg.pinv(f.pose_covariance, hermitian=True) @ error
+    )
     return (
         distance,
         float(np.degrees(rotation_angle_rad(got, s.pose))),
@@ -358,7 +380,9 @@ def plot(found: Sequence[Found]) -> bytes:
         twin.fill_between(t, f.opacity, color="#1b9e77", alpha=0.15, lw=0)
         twin.set_ylim(0, 1.02)
         twin.tick_params(labelsize=5)
-        axis.set_title(f"{f.clip.name}: {f.held:.0%} within 95 %", fontsize=8, loc="left")
+        axis.set_title(
+            f"{f.clip.name}: {f.held:.0%} within 95 %", fontsize=8, loc="left"
+        )
         axis.tick_params(labelsize=6)
         axis.legend(fontsize=5, frameon=False)
     for axis in axes[len(found) :]:

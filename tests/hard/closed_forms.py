@@ -38,11 +38,14 @@ def _rotation(at: float) -> Callable[[float, str, Data], Answer]:
 
     def answer(delta: float, formula: str, data: Data) -> Answer:
         angles = np.array([at - delta, at, at + delta])
-        matrices = rotation_from_rotvec((_AXES[:, None] * angles[:, None]).reshape(-1, 3))
+        matrices = rotation_from_rotvec(
+            (_AXES[:, None] * angles[:, None]).reshape(-1, 3)
+        )
         return Answer(
             float(
                 np.abs(
-                    rotation_from_rotvec(rotvec_from_rotation(data(matrices))) - matrices
+                    rotation_from_rotvec(rotvec_from_rotation(data(matrices)))
+                    - matrices
                 ).max()
             )
         )
@@ -55,7 +58,9 @@ def _between(at: float) -> Callable[[float, str, Data], Answer]:
         angle = at + (-delta if at > 0 else delta)
         b = np.array([np.cos(angle), np.sin(angle), 0.0])
         return Answer(
-            abs(float(angle_between(data(np.array([1.0, 0.0, 0.0])), data(b))) - angle)
+            abs(
+                float(angle_between(data(np.array([1.0, 0.0, 0.0])), data(b))) - angle
+            )
         )
 
     return answer
@@ -110,7 +115,9 @@ def _focal_expected(delta: float, data: Data) -> Expected:
     """Nothing is focused within the focal length: a refusal is owed where rounding leaves
     nothing.
     """
-    return Expected(ANSWER if data(50.0 * (1 + delta)) > 50.0 else REFUSAL, 1e-9 / SIGMAS)
+    return Expected(
+        ANSWER if data(50.0 * (1 + delta)) > 50.0 else REFUSAL, 1e-9 / SIGMAS
+    )
 
 
 _HYPERFOCAL_MM = 50.0 * 50.0 / (8.0 * 0.03)
@@ -144,7 +151,9 @@ def _distance(delta: float, formula: str, data: Data) -> Answer | None:
     pixel = camera.project(data(np.array([[0.1 * delta, 0.05 * delta, delta]])))
     if not np.isfinite(pixel).all():
         return None
-    again = camera.project(np.concatenate([camera.normalised(pixel), np.ones((1, 1))], 1))
+    again = camera.project(
+        np.concatenate([camera.normalised(pixel), np.ones((1, 1))], 1)
+    )
     return Answer(float(np.abs(again - pixel).max()))
 
 
@@ -215,7 +224,9 @@ CLOSED_FORMS: tuple[Sweep, ...] = (
         always(1e-12, 1e-6),
     ),
     Sweep("angle between", "angle 0", "rad", _between(0.0), always(1e-15, 1e-7)),
-    Sweep("angle between", "angle pi/2", "rad", _between(np.pi / 2), always(1e-15, 1e-7)),
+    Sweep(
+        "angle between", "angle pi/2", "rad", _between(np.pi / 2), always(1e-15, 1e-7)
+    ),
     Sweep("angle between", "angle pi", "rad", _between(np.pi), always(1e-12, 3e-7)),
     Sweep(
         "weight of a normal, eq. 8",
@@ -246,7 +257,11 @@ CLOSED_FORMS: tuple[Sweep, ...] = (
     ),
     Sweep("projection", "distance 0", "px", _distance, _distance_expected),
     Sweep(
-        "projection", "an endless focal length", "px", _focal_length, always(1e-3, 1e-3)
+        "projection",
+        "an endless focal length",
+        "px",
+        _focal_length,
+        always(1e-3, 1e-3),
     ),
     Sweep(
         "voxel wall",

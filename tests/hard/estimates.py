@@ -96,7 +96,10 @@ _EXPONENT_SIGMA = 0.08  # of the logarithm of the camera's exponent
 def _print_normals(delta: float) -> np.ndarray:
     """(120, 3) within 60 delta degrees of the middle one."""
     rng = np.random.default_rng(2)
-    tilt, phi = np.pi / 3 * delta * np.sqrt(rng.random(120)), 2 * np.pi * rng.random(120)
+    tilt, phi = (
+        np.pi / 3 * delta * np.sqrt(rng.random(120)),
+        2 * np.pi * rng.random(120),
+    )
     return np.stack(
         [np.sin(tilt) * np.cos(phi), np.sin(tilt) * np.sin(phi), np.cos(tilt)], -1
     )
@@ -107,7 +110,9 @@ def _direction(delta: float, formula: str, data: Data) -> Answer | None:
     n = _print_normals(delta)
     light = data(np.clip(n @ _LAMP, 0, None)[:, None] * _LAMP_RGB + _AMBIENT)
     noisy = light + data.noise(_READING_SIGMA, light.shape)
-    found = fit(n, noisy, np.full(light.shape, _READING_SIGMA**2 if data.camera else 0.0))
+    found = fit(
+        n, noisy, np.full(light.shape, _READING_SIGMA**2 if data.camera else 0.0)
+    )
     if found.verdict == REFUSED or not found.lights:
         return None
     lamp = found.lights[0]
@@ -125,14 +130,16 @@ def _direction_sigma(delta: float, data: Data) -> float:
     def readings(x: np.ndarray) -> np.ndarray:
         """x : ambient light (3), the lamp's (3), its direction (2), exponent (1)"""
         lamp = normalise(_LAMP + x[6:8] @ across)
-        return np.asarray((np.clip(n @ lamp, 0, None)[:, None] * x[3:6] + x[:3]) ** x[8])
+        return np.asarray(
+            (np.clip(n @ lamp, 0, None)[:, None] * x[3:6] + x[:3]) ** x[8]
+        )
 
     bright = float(_LAMP_RGB.mean() + _AMBIENT)
     sigma = np.hypot(_MODEL_ERROR * bright, _READING_SIGMA if data.camera else 0.0)
     known = [*[np.inf] * 8, _EXPONENT_SIGMA]
-    least = least_sigma(readings, [*[_AMBIENT] * 3, *_LAMP_RGB, 0, 0, 1], sigma, known)[
-        6:8, 6:8
-    ]
+    least = least_sigma(
+        readings, [*[_AMBIENT] * 3, *_LAMP_RGB, 0, 0, 1], sigma, known
+    )[6:8, 6:8]
     return (
         float(np.degrees(np.sqrt(np.linalg.eigvalsh(least)[-1])))
         if np.isfinite(least).all()
@@ -166,14 +173,19 @@ def _marker_pose(
         off = [rotation_angle_rad(pose, Pose(turn, np.zeros(3))) for pose, _ in found]
         best, _ = found[int(np.argmin(off))]
         observed = Observed(
-            _CORNERS_M[None], ideal[None], scale, np.full((1, 4), _CORNER_SIGMA_PX**-2)
+            _CORNERS_M[None],
+            ideal[None],
+            scale,
+            np.full((1, 4), _CORNER_SIGMA_PX**-2),
         )
         covariance = np.linalg.pinv(
             information(best.rotation[None], best.translation_m[None], observed)[0],
             hermitian=True,
         )
         stated = float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
-        return Answer(float(np.degrees(min(off))), min(float(np.degrees(stated)), 180.0))
+        return Answer(
+            float(np.degrees(min(off))), min(float(np.degrees(stated)), 180.0)
+        )
 
     return answer
 
@@ -215,7 +227,8 @@ def _towards_edge_on(delta: float) -> tuple[np.ndarray, np.ndarray]:
         _ASIDE_M[1], _ASIDE_M[2]
     )  # the plane of a marker turned so far holds the camera
     return (
-        rotation_from_rotvec(np.array([np.pi / 2 - view - delta, 0.0, 0.0])) @ _FACING,
+        rotation_from_rotvec(np.array([np.pi / 2 - view - delta, 0.0, 0.0]))
+        @ _FACING,
         _ASIDE_M,
     )
 
@@ -244,7 +257,8 @@ def _pose_expected(
             1
         ]  # how far the corners are from lying in a line
         return Expected(
-            ANSWER if across > 8 * _CORNER_SIGMA_PX else EITHER, _pose_sigma(place, delta)
+            ANSWER if across > 8 * _CORNER_SIGMA_PX else EITHER,
+            _pose_sigma(place, delta),
         )
 
     return expected
@@ -258,7 +272,9 @@ _DIOPTRES, _PX_PER_DIOPTRE, _SHARP_PX, _BLUR_SIGMA_PX = 2.0, 15.0, 0.6, 0.02
 
 def _edges(delta: float) -> tuple[np.ndarray, float]:
     """(dioptres of 60 edges whose distances differ by a share delta, focus)"""
-    return _DIOPTRES * (1 + delta * np.linspace(-1, 1, 60)), _DIOPTRES * (1 - 0.3 * delta)
+    return _DIOPTRES * (1 + delta * np.linspace(-1, 1, 60)), _DIOPTRES * (
+        1 - 0.3 * delta
+    )
 
 
 def _blur_px(d: np.ndarray, focus: float, k: float, sharp: float) -> np.ndarray:
@@ -273,7 +289,9 @@ def _footage_lens(delta: float, formula: str, data: Data) -> Answer | None:
     )
     found = lens_from_blur(data(d), blur, _BLUR_SIGMA_PX)
     return (
-        Answer(abs(found.focus - focus), found.focus_ci95 / 1.96) if found.known else None
+        Answer(abs(found.focus - focus), found.focus_ci95 / 1.96)
+        if found.known
+        else None
     )
 
 

@@ -63,7 +63,11 @@ class View:
         seen = _CORNERS_M @ self.turn.T + self.middle_m
         px = _FOCAL_PX * seen[:, :2] / seen[:, 2:]
         area = cv2.contourArea(px.astype(np.float32))
-        return area / float(np.linalg.norm(px - np.roll(px, 1, 0), axis=1).max()) / _CELLS
+        return (
+            area
+            / float(np.linalg.norm(px - np.roll(px, 1, 0), axis=1).max())
+            / _CELLS
+        )
 
 
 @cache
@@ -71,9 +75,9 @@ def _print() -> np.ndarray:
     """Linear light of the print with a margin of two cells, float32."""
     bits = cv2.aruco.generateImageMarker(dictionary(_FAMILY), 0, _CELLS)
     bits = np.pad(bits, 2, constant_values=255)
-    return np.kron(np.where(bits > 0, _PAPER, _INK), np.ones((_TEXEL, _TEXEL))).astype(
-        np.float32
-    )
+    return np.kron(
+        np.where(bits > 0, _PAPER, _INK), np.ones((_TEXEL, _TEXEL))
+    ).astype(np.float32)
 
 
 def picture(view: View, draw: int) -> np.ndarray:
@@ -87,7 +91,9 @@ def picture(view: View, draw: int) -> np.ndarray:
     seen = sheet_m @ view.turn.T + view.middle_m
     px = _FOCAL_PX * seen[:, :2] / seen[:, 2:] + (_SIZE_PX - 1) / 2
     size = float(len(texels))
-    texel_px = np.array([[0, 0], [size, 0], [size, size], [0, size]], np.float32) - 0.5
+    texel_px = (
+        np.array([[0, 0], [size, 0], [size, size], [0, size]], np.float32) - 0.5
+    )
     fine_px = ((px + 0.5) * _FINE - 0.5).astype(np.float32)
     fine = cv2.warpPerspective(
         texels, cv2.getPerspectiveTransform(texel_px, fine_px), (_SIZE_PX * _FINE, _SIZE_PX * _FINE), flags=cv2.INTER_LINEAR,
@@ -96,7 +102,9 @@ def picture(view: View, draw: int) -> np.ndarray:
     light = cv2.resize(fine, (_SIZE_PX, _SIZE_PX), interpolation=cv2.INTER_AREA)
     light = cv2.GaussianBlur(light, (0, 0), view.blur_px)
     light = 0.5 + (light - 0.5) * view.contrast
-    code = SRGB.encode(light) + np.random.default_rng(draw).normal(0, _NOISE, light.shape)
+    code = SRGB.encode(light) + np.random.default_rng(draw).normal(
+        0, _NOISE, light.shape
+    )
     return np.clip(np.rint(255 * code), 0, 255).astype(np.uint8)
 
 
@@ -109,7 +117,9 @@ def _pose(
         view = view_at(delta)
         luma = picture(view, data.draw)
         found = [
-            c for c in MarkerDetector([_FAMILY], inverted=False).search(luma) if c.id == 0
+            c
+            for c in MarkerDetector([_FAMILY], inverted=False).search(luma)
+            if c.id == 0
         ]
         if not found:
             return None
@@ -123,7 +133,9 @@ def _pose(
         both = planar(_CORNERS_M, ideal[0], scale[0], float(sigma[0]))
         if not both:
             return None
-        off = [rotation_angle_rad(pose, Pose(view.turn, np.zeros(3))) for pose, _ in both]
+        off = [
+            rotation_angle_rad(pose, Pose(view.turn, np.zeros(3))) for pose, _ in both
+        ]
         best, _ = both[int(np.argmin(off))]
         observed = Observed(
             _CORNERS_M[None], ideal, scale, np.repeat(sigma[:, None] ** -2.0, 4, 1)
@@ -133,7 +145,9 @@ def _pose(
             hermitian=True,
         )
         stated = float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
-        return Answer(float(np.degrees(min(off))), min(float(np.degrees(stated)), 180.0))
+        return Answer(
+            float(np.degrees(min(off))), min(float(np.degrees(stated)), 180.0)
+        )
 
     return answer
 
@@ -147,7 +161,8 @@ def _expected(view_at: Callable[[float], View]) -> Callable[[float, Data], Expec
         view = view_at(delta)
         cell = view.narrowest_cell_px
         paper, ink = (
-            SRGB.encode(0.5 + (albedo - 0.5) * view.contrast) for albedo in (_PAPER, _INK)
+            SRGB.encode(0.5 + (albedo - 0.5) * view.contrast)
+            for albedo in (_PAPER, _INK)
         )
         codes = 255 * float(paper - ink)
         if cell >= max(2.0, 3 * view.blur_px) and codes >= 20:

@@ -134,7 +134,9 @@ def least_sigma(
     """
     x = np.asarray(at, float)
     steps = np.eye(len(x)) * 1e-6
-    jacobian = np.stack([(model(x + s) - model(x - s)).ravel() / 2e-6 for s in steps], 1)
+    jacobian = np.stack(
+        [(model(x + s) - model(x - s)).ravel() / 2e-6 for s in steps], 1
+    )
     rows = jacobian / np.broadcast_to(sigma, model(x).shape).reshape(-1, 1)
     information = rows.T @ rows + np.diag(
         np.zeros(len(x)) if prior is None else 1 / np.square(prior)
@@ -182,12 +184,16 @@ class Result:
 
     @property
     def worst(self) -> float | None:
-        return max((e for p in self.points if (e := p.error) is not None), default=None)
+        return max(
+            (e for p in self.points if (e := p.error) is not None), default=None
+        )
 
     def count(self, owed: str) -> tuple[int, int]:
         """(points at which that is owed, of these so many where all draws got it)"""
         mine = [p for p in self.points if p.expected.owed == owed]
-        got = [p for p in mine if p.refused == (len(p.answers) if owed == REFUSAL else 0)]
+        got = [
+            p for p in mine if p.refused == (len(p.answers) if owed == REFUSAL else 0)
+        ]
         return len(mine), len(got)
 
 
@@ -223,7 +229,9 @@ def _wrong(expected: Expected, answers: Sequence[Answer | None]) -> str:
     if expected.owed == ANSWER and len(told) < len(answers):
         return f"refused, though {expected.bound:.1e} could be known"
     if expected.owed == REFUSAL and told:
-        return f"answered, though nothing better than {expected.bound:.1e} can be known"
+        return (
+            f"answered, though nothing better than {expected.bound:.1e} can be known"
+        )
     for a in told:
         if not np.isfinite(a.error):
             return "not finite"
@@ -246,7 +254,9 @@ def plot(results: Sequence[Result]) -> bytes:
     ).ravel()
     colours = {"float64": "#2f81f7", "float32": "#1b9e77", "camera": "#d9822b"}
     for axis, (name, towards) in zip(axes, names, strict=False):
-        mine = [r for r in results if (r.sweep.name, r.sweep.towards) == (name, towards)]
+        mine = [
+            r for r in results if (r.sweep.name, r.sweep.towards) == (name, towards)
+        ]
         for row, r in enumerate(mine):
             delta, colour = (
                 [p.delta for p in r.points],
@@ -262,7 +272,11 @@ def plot(results: Sequence[Result]) -> bytes:
                 axis.loglog(delta, stated, "--", lw=1, color=colour, label="stated")
             if r.formula not in r.sweep.unbounded:
                 axis.loglog(
-                    delta, [p.expected.bound for p in r.points], ":", lw=0.8, color=colour
+                    delta,
+                    [p.expected.bound for p in r.points],
+                    ":",
+                    lw=0.8,
+                    color=colour,
                 )
             refused = [p.delta for p in r.points if p.refused]
             axis.plot(

@@ -41,7 +41,9 @@ FEW = DELTAS[::3]
     "sweep", SWEEPS, ids=[f"{s.name} to {s.towards}" for s in SWEEPS]
 )
 def test_answers_and_refusals_are_what_is_owed(sweep: Sweep) -> None:
-    for r in run(replace(sweep, kinds=tuple(draws[:2] for draws in sweep.kinds)), FEW):
+    for r in run(
+        replace(sweep, kinds=tuple(draws[:2] for draws in sweep.kinds)), FEW
+    ):
         assert not r.wrong, f"{r.formula} {r.kind}: {r.wrong}"
 
 
@@ -49,7 +51,9 @@ def test_answers_and_refusals_are_what_is_owed(sweep: Sweep) -> None:
 def test_answers_and_refusals_through_pixels(sweep: Sweep) -> None:
     (found,) = run(replace(sweep, kinds=(CAMERA[:2],)), sweep.deltas[::3])
     assert (
-        not found.wrong and found.count(ANSWER)[0] >= 2 and found.count(REFUSAL)[0] >= 1
+        not found.wrong
+        and found.count(ANSWER)[0] >= 2
+        and found.count(REFUSAL)[0] >= 1
     ), found
 
 

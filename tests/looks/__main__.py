@@ -30,7 +30,9 @@ def table(rows: Sequence[Finding]) -> str:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m tests.looks", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.looks", description=__doc__
+    )
     parser.add_argument("--clip", default="", help="clips whose name holds this")
     parser.add_argument(
         "--cones", type=int, default=4, help="clips of each case of lamps"
@@ -40,9 +42,13 @@ def main() -> int:
     given = parser.parse_args()
     start = time.monotonic()
     wanted = [(look, of) for look, of in LOOKS if given.clip in look.name]
-    with ProcessPoolExecutor(given.jobs, multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(
+        given.jobs, multiprocessing.get_context("spawn")
+    ) as pool:
         rows = [
-            r for found in pool.map(findings, *zip(*wanted, strict=True)) for r in found
+            r
+            for found in pool.map(findings, *zip(*wanted, strict=True))
+            for r in found
         ]
         if given.cones and not given.clip:
             rows.append(pool.submit(cones, given.cones).result())

@@ -31,7 +31,9 @@ from tests.observed import Observed
 
 WIDTH, HEIGHT = 384, 216
 KEY_FRAME_S = 1.0
-PRINTS = tuple(f"36h11:{i}" for i in range(6))  # the first is what the object stands on
+PRINTS = tuple(
+    f"36h11:{i}" for i in range(6)
+)  # the first is what the object stands on
 CRF = 28.0
 AMBIENT_RGB, LAMP_RGB = (0.22, 0.23, 0.25), (0.42, 0.40, 0.36)
 TURNS_DEG = (
@@ -234,7 +236,9 @@ def radiance(look: Look) -> np.ndarray:
     if look.hidden_s is not None:
         times = np.arange(look.frames) / look.fps
         hidden = (times >= look.hidden_s[0]) & (times < look.hidden_s[1])
-        covered = np.stack([_grown(m) for m in _inked(look.desk)]) & hidden[:, None, None]
+        covered = (
+            np.stack([_grown(m) for m in _inked(look.desk)]) & hidden[:, None, None]
+        )
         out = np.where(covered[..., None], np.float32(0.2), out)
     return out
 
@@ -286,7 +290,9 @@ def shadow(look: Look) -> np.ndarray:
             continue
         pose = world.camera_at(n, float(world.frame_times_s[n])).inverse()
         d = towards @ pose.rotation.T
-        at = pose.translation_m[:2] - d[..., :2] * (pose.translation_m[2] / d[..., 2:])
+        at = pose.translation_m[:2] - d[..., :2] * (
+            pose.translation_m[2] / d[..., 2:]
+        )
         away = np.linalg.norm(at - [x, y], axis=-1)
         out[n] = there * _share(away)
     return out

@@ -93,8 +93,12 @@ def seen(look: Look) -> Seen:
         found = film.analysed(look, path)
     lit = [f for f in found.facts if f.light is not None]
     truth = film.true_lights(look, of_object=True)
-    own = shown([f.light for f in lit if f.light], [np.array(f.bias_rgb) for f in lit])
-    exact = shown([truth[f.index] for f in lit], [np.array(look.phone.black)] * len(lit))
+    own = shown(
+        [f.light for f in lit if f.light], [np.array(f.bias_rgb) for f in lit]
+    )
+    exact = shown(
+        [truth[f.index] for f in lit], [np.array(look.phone.black)] * len(lit)
+    )
     return Seen(look, found, darkest, own, exact)
 
 
@@ -119,7 +123,9 @@ def behind(s: Seen) -> Finding:
     near = np.stack([ratio[:-2], ratio[1:-1], ratio[2:]]) + scale
     own = np.log(s.own.luma)[1:-1]
     off = np.maximum(own - near.max(0), near.min(0) - own).clip(0)
-    return Finding(s.look.name, "luma behind the exposure", float(off.max()), MOST_BEHIND)
+    return Finding(
+        s.look.name, "luma behind the exposure", float(off.max()), MOST_BEHIND
+    )
 
 
 def tint(s: Seen) -> Finding:
@@ -144,7 +150,9 @@ def darkened(s: Seen) -> Finding:
     off = np.log(own) - np.log(exact)
     near = np.stack([off[:-2], off[1:-1], off[2:]]) - np.median(off)
     least = np.abs(near).min(0)
-    return Finding(s.look.name, "luma under a hand", float(least.max()), MOST_UNDER_HAND)
+    return Finding(
+        s.look.name, "luma under a hand", float(least.max()), MOST_UNDER_HAND
+    )
 
 
 def black(s: Seen) -> Finding:
@@ -181,8 +189,13 @@ def edge(s: Seen) -> Finding:
     true_deg = np.degrees(np.arctan2(lamp[1], lamp[0]))
     off = 180.0
     if clue is not None:
-        off = abs((clue["azimuth_deg"] - true_deg + 180) % 360 - 180) - clue["within_deg"]
-    return Finding(s.look.name, "lamp's side by the shadow's edge", max(off, 0.0), 0.0)
+        off = (
+            abs((clue["azimuth_deg"] - true_deg + 180) % 360 - 180)
+            - clue["within_deg"]
+        )
+    return Finding(
+        s.look.name, "lamp's side by the shadow's edge", max(off, 0.0), 0.0
+    )
 
 
 def not_shaded(s: Seen) -> Finding:
@@ -227,8 +240,14 @@ LOOKS: tuple[tuple[Look, tuple[Measure, ...]], ...] = (
     (Look("glossy", gloss=0.1), STEADY),
     (Look("six small prints", **SMALL), STEADY),
     (Look("dim, six small prints", Phone(dim, noise_grey=2.0), **SMALL), STEADY),
-    (Look("dim, glossy, small", Phone(dim, noise_grey=1.5), gloss=0.2, **DIM), STEADY),
-    (Look("dim, blue ink, small", Phone(dim, noise_grey=2.0), ink=BLUE, **SMALL), STEADY),
+    (
+        Look("dim, glossy, small", Phone(dim, noise_grey=1.5), gloss=0.2, **DIM),
+        STEADY,
+    ),
+    (
+        Look("dim, blue ink, small", Phone(dim, noise_grey=2.0), ink=BLUE, **SMALL),
+        STEADY,
+    ),
     (Look("ramps of 1 stop/s", Phone(ramps, rolling_s=0.02)), (behind, black)),
     (
         Look("ramps, tilted prints", Phone(ramps, rolling_s=0.02), **TILTED),
@@ -246,7 +265,10 @@ LOOKS: tuple[tuple[Look, tuple[Measure, ...]], ...] = (
         Look("hand over half the print", hand=0, hand_at_m=(0.05, 0.0)),
         (half_lit, darkened, edge),
     ),
-    (Look("print covered, 60 fps", fps=60.0, frames=90, hidden_s=(0.3, 1.2)), (fading,)),
+    (
+        Look("print covered, 60 fps", fps=60.0, frames=90, hidden_s=(0.3, 1.2)),
+        (fading,),
+    ),
 )
 
 
@@ -265,4 +287,6 @@ def cones(clips_each: int) -> Finding:
     ]
     claims = [c for one in asked for c in clips.row(one).claims]
     missed = float(np.mean([not c.held for c in claims])) if claims else 1.0
-    return Finding(f"two lamps, {len(asked)} clips", "cones that miss", missed, 1 - HELD)
+    return Finding(
+        f"two lamps, {len(asked)} clips", "cones that miss", missed, 1 - HELD
+    )

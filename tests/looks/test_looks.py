@@ -23,7 +23,9 @@ SHORT = {
 def test_the_light_holds_on_a_telephones_clip(name: str) -> None:
     (look, measures), *_ = [of for of in LOOKS if of[0].name == name]
     missed = [
-        f for f in findings(replace(look, frames=SHORT[name]), measures) if not f.holds
+        f
+        for f in findings(replace(look, frames=SHORT[name]), measures)
+        if not f.holds
     ]
     assert not missed
 

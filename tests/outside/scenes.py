@@ -87,7 +87,9 @@ MATERIALS: dict[str, dict[str, Any]] = {
     ),
     "stone": {**_material((0.5, 0.46, 0.4), 0.0, 0.6), "normalTexture": {"index": 0}},
 }
-BLACK = _extended(_material((0.0, 0.0, 0.0), 0.0, 1.0), "specular", specularFactor=0.0)
+BLACK = _extended(
+    _material((0.0, 0.0, 0.0), 0.0, 1.0), "specular", specularFactor=0.0
+)
 
 
 def ball(radius_m: float, middle_m: float, columns: int = 64, rows: int = 32) -> Mesh:
@@ -181,11 +183,15 @@ def contact_distance_m(model: str, places: np.ndarray) -> np.ndarray:
 def bumps(size: int = 128) -> np.ndarray:
     """(size, size, 3) uint8 normal map of rough stone that repeats."""
     rng = np.random.default_rng(3)
-    v, u = np.meshgrid(*[2 * np.pi * (np.arange(size) + 0.5) / size] * 2, indexing="ij")
+    v, u = np.meshgrid(
+        *[2 * np.pi * (np.arange(size) + 0.5) / size] * 2, indexing="ij"
+    )
     slope = np.zeros((2, size, size))
     for _ in range(24):
         k, m = rng.integers(-6, 7), rng.integers(-6, 7)
-        wave = np.cos(k * u + m * v + rng.uniform(0, 2 * np.pi)) / (4 + np.hypot(k, m))
+        wave = np.cos(k * u + m * v + rng.uniform(0, 2 * np.pi)) / (
+            4 + np.hypot(k, m)
+        )
         slope += np.array([k, m])[:, None, None] * wave * 0.35
     normal = np.stack([-slope[0], slope[1], np.ones_like(u)], -1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
@@ -287,7 +293,9 @@ def _disc(
 
 
 def _even(d: np.ndarray) -> np.ndarray:
-    return (0.5 + 0.3 * d @ _direction(-100, 40))[..., None] * np.array([0.9, 1.0, 1.1])
+    return (0.5 + 0.3 * d @ _direction(-100, 40))[..., None] * np.array(
+        [0.9, 1.0, 1.1]
+    )
 
 
 ENVIRONMENTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
@@ -305,14 +313,18 @@ def panorama(name: str, height: int = 128, finer: int = 6) -> np.ndarray:
     """
     rows = (0.5 - (np.arange(height * finer) + 0.5) / (height * finer)) * np.pi
     columns = (
-        (0.5 - (np.arange(2 * height * finer) + 0.5) / (2 * height * finer)) * 2 * np.pi
+        (0.5 - (np.arange(2 * height * finer) + 0.5) / (2 * height * finer))
+        * 2
+        * np.pi
     )
     e, a = np.meshgrid(rows, columns, indexing="ij")
     light = ENVIRONMENTS[name](
         np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1)
     )
     return (
-        light.reshape(height, finer, 2 * height, finer, 3).mean((1, 3)).astype(np.float32)
+        light.reshape(height, finer, 2 * height, finer, 3)
+        .mean((1, 3))
+        .astype(np.float32)
     )
 
 
@@ -354,4 +366,6 @@ if __name__ == "__main__":
     target.mkdir(parents=True, exist_ok=True)
     for each in SCENES:
         write(each, target)
-    (target / "scenes.json").write_text(json.dumps([asdict(s) for s in SCENES], indent=1))
+    (target / "scenes.json").write_text(
+        json.dumps([asdict(s) for s in SCENES], indent=1)
+    )

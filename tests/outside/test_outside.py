@@ -115,7 +115,9 @@ def cases(names: Iterable[str]) -> list[Any]:
 
 
 @pytest.mark.parametrize("name", cases(scenes.MATERIALS))
-def test_materials_look_as_another_renderer_makes_them(name: str, tmp_path: Path) -> None:
+def test_materials_look_as_another_renderer_makes_them(
+    name: str, tmp_path: Path
+) -> None:
     scene, _, layers = rendered(BY_NAME[name], tmp_path)
     at = layers.rect.slices_in(scene.camera.rect)
     difference = np.abs(grey_levels(layers[Layer.VIRTUAL]) - outside(name)[at])

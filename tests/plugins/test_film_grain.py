@@ -112,7 +112,16 @@ def arfx(site: Path, folder: Path) -> Run:
 
 
 GRAINY = ("--set", "film_grain.strength=0.05", "--codec", "ffv1", "--overwrite")
-AGAIN = (*GRAINY, "--workers", "1", "-o", "grain.mkv", "--job", "grain.job", "--resume")
+AGAIN = (
+    *GRAINY,
+    "--workers",
+    "1",
+    "-o",
+    "grain.mkv",
+    "--job",
+    "grain.job",
+    "--resume",
+)
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +158,15 @@ def told(site: Path, folder: Path, first_key: str) -> dict[str, Result]:
     of its own takes seconds to start.
     """
     plan = ["plan", *JOB, "--pipeline", "film_grain"]
-    costs = ["--pipeline", "film_grain", "--formula", "paper", "--frames", "1", "--json"]
+    costs = [
+        "--pipeline",
+        "film_grain",
+        "--formula",
+        "paper",
+        "--frames",
+        "1",
+        "--json",
+    ]
     commands = {
         "plan": plan,
         "in budget": [*plan, "--budget", "60s"],
@@ -196,14 +213,16 @@ def test_it_lies_on_every_frame_as_strong_as_asked_for_and_new_in_each(
     assert told["without"].code == 0, told["without"].err
     grain, bare = pictures(folder / "grain.mkv"), pictures(folder / "bare.mkv")
     noise, middle = (grain - bare)[..., 1], abs(bare[..., 1] - 0.5) < 0.1
-    assert len(noise) == FRAMES and noise[middle].std() == pytest.approx(0.05, rel=0.15)
+    assert len(noise) == FRAMES and noise[middle].std() == pytest.approx(
+        0.05, rel=0.15
+    )
     assert abs(noise[middle].mean()) < 0.003, "it neither lightens nor darkens"
     assert abs(np.corrcoef(noise[0].ravel(), noise[1].ravel())[0, 1]) < 0.02, (
         "new in every frame"
     )
-    assert np.corrcoef(noise[0][:, 1:].ravel(), noise[0][:, :-1].ravel())[0, 1] > 0.3, (
-        "a grain is wider than a pixel"
-    )
+    assert (
+        np.corrcoef(noise[0][:, 1:].ravel(), noise[0][:, :-1].ravel())[0, 1] > 0.3
+    ), "a grain is wider than a pixel"
 
 
 def test_the_report_tells_what_it_did(rendered: Path, folder: Path) -> None:
@@ -249,7 +268,9 @@ def test_without_a_price_a_plan_says_so_and_a_budget_is_refused_until_it_is_meas
         and f"unknown: film_grain has no price here; `{MEASURE}` measures it"
         in planned.err + planned.out
     )
-    assert "film_grain.strength = 0.02" in listed.out and "price unknown" in listed.out
+    assert (
+        "film_grain.strength = 0.02" in listed.out and "price unknown" in listed.out
+    )
     assert (
         refused.code == 2
         and "film_grain has no price here" in refused.err

@@ -28,7 +28,14 @@ from arfx.core.marker import MarkerSpec, PatternSpec
 from arfx.core.rect import Rect
 from tests.exact import identical
 from tests.observed import Observed
-from tests.unit.analyse.synthetic import background, camera, hung, picture, poster, tilted
+from tests.unit.analyse.synthetic import (
+    background,
+    camera,
+    hung,
+    picture,
+    poster,
+    tilted,
+)
 
 CAM = camera(480, 270, 450.0)
 M, TWIN, OTHER = (
@@ -77,7 +84,9 @@ class Shown:
                 tilted([0.1, 0.01 * k, 0], [0.02 * (k / 15 - 1), -0.11, Z]),
                 view,
             )
-        luma = picture(CAM, markers, view, noise=1.0, blur_px=1.4, seed=k, linear=False)
+        luma = picture(
+            CAM, markers, view, noise=1.0, blur_px=1.4, seed=k, linear=False
+        )
         lit = 0.75 + 0.25 * np.cos(0.3 * k + np.linspace(0, 2, 480))
         return np.clip(luma * lit, 0, 255).astype(np.uint8)
 
@@ -221,7 +230,9 @@ def values(row: Any) -> Any:
     if isinstance(row, tuple):
         return [values(v) for v in row]
     return (
-        [values(getattr(row, f.name)) for f in fields(row)] if is_dataclass(row) else row
+        [values(getattr(row, f.name)) for f in fields(row)]
+        if is_dataclass(row)
+        else row
     )
 
 
@@ -236,12 +247,16 @@ def test_what_stretches_learned_is_what_the_clip_shows(
     for observed in (one, cut):
         transfer = choose_transfer(observed.rows["prints"])
         assert transfer == "gamma:1"
-        seen.append(records(observed.rows["frames"], observed.rows["prints"], transfer))
+        seen.append(
+            records(observed.rows["frames"], observed.rows["prints"], transfer)
+        )
     assert [r.index for r in seen[1]] == [*range(FRAMES)]
     for a, b in zip(*seen, strict=True):
         assert a.time_s == b.time_s and identical(a.thumbnail, b.thumbnail)
         assert identical(a.duplicates, b.duplicates)
-        assert identical(*([d for d in r.detections if d.key == M.key] for r in (a, b)))
+        assert identical(
+            *([d for d in r.detections if d.key == M.key] for r in (a, b))
+        )
         found = [{d.key: d for d in r.detections} for r in (a, b)]
         assert found[0].keys() <= found[1].keys()
         assert all(
@@ -254,9 +269,9 @@ def test_what_stretches_learned_is_what_the_clip_shows(
     ]
     assert len(readings[1]) > 15 and identical(*readings)
     steps = joined_steps(cut.rows["steps"], cut.rows["key_pictures"])
-    assert {3, 14, 15, 26} <= {s.index for s in steps if s.key and s.back is not None}, (
-        "a border in a shot leads on"
-    )
+    assert {3, 14, 15, 26} <= {
+        s.index for s in steps if s.key and s.back is not None
+    }, "a border in a shot leads on"
     assert [s.index for s in steps if s.back is None] == [0, CUT] and len(
         {s.index for s in steps}
     ) == len(steps)
@@ -289,7 +304,9 @@ def test_frames_are_numbered_where_they_come_to_lie() -> None:
     numbered, again = (joined(n, (0, 11, 15)) for n in (True, False))
     assert numbered["markers"].rows["readings"]
     for name in ("markers", "plane"):
-        for table in KINDS.keys() - {"others"}:  # dictionaries are looked for by number
+        for table in KINDS.keys() - {
+            "others"
+        }:  # dictionaries are looked for by number
             one, other = (
                 [*map(values, clip[name].rows[table])] for clip in (numbered, again)
             )

@@ -45,7 +45,9 @@ def seen(pose: Pose, cam: Camera) -> tuple[np.ndarray, np.ndarray]:
 @example(0.0, 0.0, 0.0, 0.25, 0.25, 2.0)  # parallel to the picture, off the axis
 @example(0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
 @example(0.0, 0.9375, 0.0, 0.0, 0.0, 4.0)  # turned about an axis of its own
-@example(0.0, -1.0, 0.0, -0.25, 0.125, 3.0)  # the same, where IPPE knows one of two alone
+@example(
+    0.0, -1.0, 0.0, -0.25, 0.125, 3.0
+)  # the same, where IPPE knows one of two alone
 @example(0.0, -1.0, 0.0, -0.0625, 0.0, 4.0)  # and none
 def test_truth_is_among_the_planar_poses(
     a: float, b: float, c: float, x: float, y: float, z: float
@@ -55,7 +57,9 @@ def test_truth_is_among_the_planar_poses(
         @ tilted([0, 0, 0], [0, 0, 0]).inverse()
         @ tilted([0, 0, c], [0, 0, 0])
     )
-    facing = pose.rotation[:, 2] @ pose.translation_m / np.linalg.norm(pose.translation_m)
+    facing = (
+        pose.rotation[:, 2] @ pose.translation_m / np.linalg.norm(pose.translation_m)
+    )
     if facing > -0.15:  # seen from behind or along its plane
         return
     ideal, scale = seen(pose, LENS)
@@ -95,7 +99,8 @@ def test_jacobian_is_the_derivative(
     h = 1e-6
     step = np.eye(6)[axis : axis + 1] * h
     numeric = (
-        residuals(*apply_step(r, t, step), one) - residuals(*apply_step(r, t, -step), one)
+        residuals(*apply_step(r, t, step), one)
+        - residuals(*apply_step(r, t, -step), one)
     ) / (2 * h)
     np.testing.assert_allclose(
         jacobian(r, t, one)[0, :, :, axis], numeric[0], rtol=1e-5, atol=1e-3

@@ -60,7 +60,16 @@ CLIPS = {
         0,
         0,
     ),
-    "testsrc2_odd_height_and_width_vp9.mp4": (25, (321, 241), 0, "bt601", False, 8, 0, 0),
+    "testsrc2_odd_height_and_width_vp9.mp4": (
+        25,
+        (321, 241),
+        0,
+        "bt601",
+        False,
+        8,
+        0,
+        0,
+    ),
     "testsrc2_vp8.webm": (30, (1280, 720), 0, "bt601", False, 8, 0, 0),
 }
 
@@ -88,7 +97,9 @@ def test_what_is_in_the_clip(name: str) -> None:
         and frames[0].pts == info.start_pts
     )
     assert (
-        frames[0].luma().shape == frames[0].linear(frames[0].rect).shape[:2] == size[::-1]
+        frames[0].luma().shape
+        == frames[0].linear(frames[0].rect).shape[:2]
+        == size[::-1]
     )
 
 
@@ -112,7 +123,10 @@ def test_reading_from_a_time_is_reading_from_the_start(name: str) -> None:
                 )
             )
         with ClipReader(info) as r:
-            assert len(list(r.frames(first_pts=everything[k].pts))) == len(everything) - k
+            assert (
+                len(list(r.frames(first_pts=everything[k].pts)))
+                == len(everything) - k
+            )
             assert r.truncated is None
         assert [f.pts for f in part] == [f.pts for f in everything[k : k + 5]]
         assert all(
@@ -165,4 +179,6 @@ def test_written_and_joined(name: str, tmp_path: Path) -> None:
             )
 
     source = [b for _, b in further(info.path, info.stream_index)]
-    assert sorted(b for _, b in further(plan.path, out.stream_index)) == sorted(source)
+    assert sorted(b for _, b in further(plan.path, out.stream_index)) == sorted(
+        source
+    )

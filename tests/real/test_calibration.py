@@ -38,7 +38,9 @@ def pictures(folder: Path, pattern: str) -> list[tuple[str, np.ndarray, int]]:
 def opencv_set() -> Calibration:
     folder = DATA / "calibration" / "opencv-left-via-mvtb-data"
     return calibrate(
-        find_board(pictures(folder, "left*.jpg"), BoardSpec.parse("chessboard:9x6:25mm"))
+        find_board(
+            pictures(folder, "left*.jpg"), BoardSpec.parse("chessboard:9x6:25mm")
+        )
     )
 
 
@@ -107,7 +109,9 @@ def test_the_29_picture_set() -> None:
 
 
 def test_the_frontal_clip_is_poor_and_says_why() -> None:
-    info = probe(DATA / "marker_clips" / "wpilibsuite-allwpilib" / "testcalibration.mp4")
+    info = probe(
+        DATA / "marker_clips" / "wpilibsuite-allwpilib" / "testcalibration.mp4"
+    )
 
     def frames() -> Iterator[tuple[str, np.ndarray, int]]:
         with ClipReader(info) as reader:
@@ -116,7 +120,9 @@ def test_the_frontal_clip_is_poor_and_says_why() -> None:
                     yield f"{f.time_s:.2f}", np.ascontiguousarray(f.luma()), 1
 
     result = calibrate(
-        find_board(frames(), BoardSpec.parse("charuco:12x8:15.585mm:12.123mm:5X5_100"))
+        find_board(
+            frames(), BoardSpec.parse("charuco:12x8:15.585mm:12.123mm:5X5_100")
+        )
     )
     assert result.verdict.word == "poor"
     text = "; ".join(result.verdict.reasons)
@@ -127,6 +133,7 @@ def test_the_frontal_clip_is_poor_and_says_why() -> None:
     # the stated uncertainty must cover the truth; that of OpenCV 5 for these views (±0.1
     # px) does not
     assert (
-        abs(result.fitted.camera.fx - published) < 3 * result.known.standard_deviations[0]
+        abs(result.fitted.camera.fx - published)
+        < 3 * result.known.standard_deviations[0]
     )
     assert uncertainty(result.fitted).condition > 1e5

@@ -15,7 +15,9 @@ from arfx.media.depth_maps import fill_holes, open_depth
 DATA = Path(__file__).parents[3] / "shared" / "data" / "rgbd" / "gaoxiang12-slambook2"
 pytestmark = [
     pytest.mark.real,
-    pytest.mark.skipif(not DATA.is_dir(), reason=f"real depth maps are absent ({DATA})"),
+    pytest.mark.skipif(
+        not DATA.is_dir(), reason=f"real depth maps are absent ({DATA})"
+    ),
 ]
 
 

@@ -13,7 +13,11 @@ from arfx.core.camera import Camera
 from arfx.core.pose import Pose
 
 DATA = (
-    Path(__file__).parents[2].parent / "shared" / "data" / "rgbd" / "gaoxiang12-slambook2"
+    Path(__file__).parents[2].parent
+    / "shared"
+    / "data"
+    / "rgbd"
+    / "gaoxiang12-slambook2"
 )
 pytestmark = [
     pytest.mark.real,

@@ -39,7 +39,9 @@ def frames(path: Path) -> Iterator[tuple[int, float, np.ndarray]]:
             yield (
                 f.index,
                 f.time_s,
-                f.luma() if f.format.full_range else f.picture.to_ndarray(format="gray"),
+                f.luma()
+                if f.format.full_range
+                else f.picture.to_ndarray(format="gray"),
             )
 
 
@@ -64,7 +66,9 @@ def compared(
             if c.key in {m.key for m in markers}
         }
         got = {
-            key: track.quad for key, track in found.tracks.items() if track.time_s == t
+            key: track.quad
+            for key, track in found.tracks.items()
+            if track.time_s == t
         }
         missed |= {(k, key) for key in whole.keys() - got.keys()}
         more |= {(k, key) for key in got.keys() - whole.keys()}
@@ -111,10 +115,16 @@ def test_object_trembles_less_against_the_picture_and_stays_on_the_marker(
     it: what smoothing can and must take away is the trembling relative to the picture."""
     analyser, analysis = wall[0], wall[1]
     box = np.array(
-        [[x, y, z] for x in (-0.075, 0.075) for y in (-0.05, 0.05) for z in (0.0, 0.15)]
+        [
+            [x, y, z]
+            for x in (-0.075, 0.075)
+            for y in (-0.05, 0.05)
+            for z in (0.0, 0.15)
+        ]
     )
     raw, smooth = (
-        jitter_px(analysis.facts, box, analyser.job.camera, r)[1] for r in (True, False)
+        jitter_px(analysis.facts, box, analyser.job.camera, r)[1]
+        for r in (True, False)
     )
     assert (
         np.nanmedian(smooth) < np.nanmedian(raw) / 3

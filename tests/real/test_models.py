@@ -31,7 +31,9 @@ def test_reads(name: str, faces: int, up: str) -> None:
     m = load_model(MODELS / name)
     left_out = ["animations"] if name == "CesiumMilkTruck.glb" else []
     assert (m.face_count, m.up, len(m.notices)) == (faces, up, len(left_out))
-    assert all(what in notice for what, notice in zip(left_out, m.notices, strict=True))
+    assert all(
+        what in notice for what, notice in zip(left_out, m.notices, strict=True)
+    )
     for p in m.parts:
         v = p.vertices[p.faces]
         outward = (
@@ -50,7 +52,8 @@ def test_textures_and_alpha_modes() -> None:
         4,
     )
     modes = [
-        p.material.alpha_mode for p in load_model(MODELS / "AlphaBlendModeTest.glb").parts
+        p.material.alpha_mode
+        for p in load_model(MODELS / "AlphaBlendModeTest.glb").parts
     ]
     assert modes.count(BLEND) == 2 and modes.count(MASK) == 3
     truck = load_model(MODELS / "CesiumMilkTruck.glb")

@@ -22,7 +22,9 @@ def nearest_two(
     1/STEPS px"""
     y, x = np.mgrid[rect.y0 : rect.y1, rect.x0 : rect.x1] * float(STEPS)
     place = (np.stack([x, y]) + moved).reshape(2, -1)
-    columns = (np.asarray(v, float)[:, None] for v in (sites.x, sites.y, sites.weight))
+    columns = (
+        np.asarray(v, float)[:, None] for v in (sites.x, sites.y, sites.weight)
+    )
     site_x, site_y, weight = columns
     parts = []
     for p in np.array_split(

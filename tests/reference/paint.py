@@ -32,7 +32,9 @@ def painted(
         for x in along
     ]
     count = len(sites)
-    area = sum(np.bincount(first.ravel(), minlength=count) for first, _, _ in labellings)
+    area = sum(
+        np.bincount(first.ravel(), minlength=count) for first, _, _ in labellings
+    )
     total = np.zeros((count, 3))
     for c in range(3):
         weights = image[..., c].ravel().astype(float)
@@ -45,7 +47,9 @@ def painted(
     line = np.clip(lines[..., None] * (1 + 2.3 * paper), 0, 1) * params.lines
     out = np.zeros(image.shape)
     for labelling in labellings:
-        paint = pigment(image, labelling, mean, root, params.flow * flow, paper, params)
+        paint = pigment(
+            image, labelling, mean, root, params.flow * flow, paper, params
+        )
         out += paint + line * (np.array(params.ink_rgb) - paint)
     return np.maximum(out / len(labellings), 0)
 

@@ -117,7 +117,9 @@ class ReferenceRenderer:
         covered = ((hits > 0) & inside)[:, None]
         centre = np.where(covered, centre, 0.0)
         position = np.where(
-            covered, eye + np.where(np.isfinite(depth), depth, 0)[:, None] * centre, 0.0
+            covered,
+            eye + np.where(np.isfinite(depth), depth, 0)[:, None] * centre,
+            0.0,
         )
         normal = normalise(shown[:, 3:6])
         normal = np.where(
@@ -181,7 +183,11 @@ class ReferenceRenderer:
         + part.
         """
         m, n = self.mesh, len(d)
-        sums, depth, ident = np.zeros((n, 13)), np.full(n, np.inf), np.zeros(n, np.int32)
+        sums, depth, ident = (
+            np.zeros((n, 13)),
+            np.full(n, np.inf),
+            np.zeros(n, np.int32),
+        )
         transmittance, start = np.ones(n), np.zeros(n)
         active = np.flatnonzero(ok)
         for _ in range(MAX_LAYERS):
@@ -189,7 +195,8 @@ class ReferenceRenderer:
                 break
             origins = eye + start[active, None] * d[active]
             hit = self.scene.first_hits(
-                origins.astype(np.float32), np.ascontiguousarray(d[active], np.float32)
+                origins.astype(np.float32),
+                np.ascontiguousarray(d[active], np.float32),
             )
             found = hit["primID"] >= 0
             active, f = active[found], hit["primID"][found]
@@ -231,7 +238,8 @@ class ReferenceRenderer:
         normal = normalise(mix(m.normals)) * np.where(back_side, -1.0, 1.0)[:, None]
         unit = normalise(d)
         normal = normalise(
-            normal - np.maximum(np.einsum("ij,ij->i", normal, unit), 0.0)[:, None] * unit
+            normal
+            - np.maximum(np.einsum("ij,ij->i", normal, unit), 0.0)[:, None] * unit
         )
         values, alpha = np.zeros((len(f), 12)), np.zeros(len(f))
         values[:, 3:6] = normal
@@ -245,7 +253,9 @@ class ReferenceRenderer:
                 emissive,
             )
             opacity = (
-                np.ones(len(colour)) if material.alpha_mode == OPAQUE else colour[:, 3]
+                np.ones(len(colour))
+                if material.alpha_mode == OPAQUE
+                else colour[:, 3]
             )
             alpha[use] = (
                 opacity >= material.alpha_cutoff

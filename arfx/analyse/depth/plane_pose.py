@@ -63,7 +63,9 @@ def plane_poses(
     )
     level = facing_up(planes, [p[0] for p in poses if p is not None])
     if not level:
-        found = f"{len(planes)} planes, none of which faces up" if planes else "no plane"
+        found = (
+            f"{len(planes)} planes, none of which faces up" if planes else "no plane"
+        )
         raise NothingToDoError(
             f"--anchor plane: the depth shows {found}",
             "a table or floor has to be seen from above, by a camera held upright; or"

@@ -180,7 +180,9 @@ def seen_of(positions_m: np.ndarray, spacing_m: np.ndarray) -> Seen:
     """
     low, high = positions_m.min(0), positions_m.max(0)
     cell = max(
-        float(np.quantile(spacing_m, 0.75)), float((high - low).max()) / MOST_CELLS, 1e-4
+        float(np.quantile(spacing_m, 0.75)),
+        float((high - low).max()) / MOST_CELLS,
+        1e-4,
     )
     pad = _CLOSED + 1
     x, y = ((positions_m - low) / cell).astype(int).T + pad
@@ -193,7 +195,9 @@ def seen_of(positions_m: np.ndarray, spacing_m: np.ndarray) -> Seen:
     smooth = (soft > 0.5).astype(np.uint8)
     mask = smooth if smooth.any() else mask
     room = cv2.distanceTransform(mask, cv2.DIST_L2, 5)
-    cells, inside = (np.argwhere(c)[:, ::-1] for c in (mask, room >= 0.6 * room.max()))
+    cells, inside = (
+        np.argwhere(c)[:, ::-1] for c in (mask, room >= 0.6 * room.max())
+    )
     middle = inside[((inside - cells.mean(0)) ** 2).sum(1).argmin()] + 0.5
     extent = np.append(cells.min(0), cells.max(0) + 1)
     first = low - pad * cell
@@ -230,7 +234,9 @@ class ScenePlane(NamedTuple):
         low, high = np.quantile(positions[:, :2], (0.005, 0.995), 0)
         rim = RIM * (high - low)
         near = positions[:, :2] < low + rim, positions[:, :2] > high - rim
-        a, b, c, d = (bool(self.cut[n].sum() < CUT * n.sum()) for n in np.hstack(near).T)
+        a, b, c, d = (
+            bool(self.cut[n].sum() < CUT * n.sum()) for n in np.hstack(near).T
+        )
         return RealPlane(
             pose,
             (x0, y0, x1, y1),

@@ -204,7 +204,11 @@ def with_depth(
                 out[n] = out[n].with_(real_depth=depth)
     got = sum(f.real_depth is not None for f in out)
     paired = (
-        "one map for all" if maps.still else "order" if maps.times_s is None else "time"
+        "one map for all"
+        if maps.still
+        else "order"
+        if maps.times_s is None
+        else "time"
     )
     holes = float(np.mean([reading[2] for reading in readings]))
     summary = {

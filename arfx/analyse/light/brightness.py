@@ -40,10 +40,11 @@ CHROMA_SURE, CHROMA_NOISE, CHROMA_JUMP = 6.0, 4.0, 15.0
 STATED, MOST_STATED = 0.25, 0.004
 # of the background's change in that of the prints, from which it bears it out
 BORNE_OUT = 0.3
-DRIFT, CHROMA_DRIFT = 0.003, 0.001  # of the logarithm at rest, over the root of a second
-HUBER = (
-    1.345  # deviations beyond which a print disagrees with the others, and counts less
-)
+DRIFT, CHROMA_DRIFT = (
+    0.003,
+    0.001,
+)  # of the logarithm at rest, over the root of a second
+HUBER = 1.345  # deviations beyond which a print disagrees with the others, and counts less
 LEAST_SIGMA = 3e-4
 NOISE_OVER = 31  # readings, of which the noise is told
 # A step of luma's logarithm from one reading to the next: the light was switched. So much, and
@@ -105,7 +106,9 @@ def brightness(
         own, which = np.unique(frame[stood_on], return_index=True)
         beside = (level - offsets[print_] - exposure[index])[stood_on][which]
         rests = np.zeros(len(times_s))
-        out += _smoothed(times_s, own, beside, variance[stood_on][which], rests, rests)
+        out += _smoothed(
+            times_s, own, beside, variance[stood_on][which], rests, rests
+        )
     return out
 
 
@@ -167,7 +170,9 @@ def _smoothed(
 
     unknown = np.append(True, between(np.isnan(change)) > 0)
     shown = np.append(0, between(np.nan_to_num(change))) * ~unknown
-    clear = np.abs(shown) > np.maximum(LEAST_CHANGE, SURE * _noise(shown[:, None])[:, 0])
+    clear = np.abs(shown) > np.maximum(
+        LEAST_CHANGE, SURE * _noise(shown[:, None])[:, 0]
+    )
     expected = np.where(clear, shown, 0.0)
     moves = maximum_filter1d(OFF * np.abs(expected), 3)
     root_s = np.sqrt(np.diff(times_s[seen]).clip(1e-6))
@@ -191,7 +196,9 @@ def _smoothed(
     out = out + _followed(
         chroma, size, least, rest, still, still, lambda _, scale: takes[scale]
     )
-    return np.stack([np.interp(times_s, times_s[seen], column) for column in out.T], -1)
+    return np.stack(
+        [np.interp(times_s, times_s[seen], column) for column in out.T], -1
+    )
 
 
 def _followed(
@@ -261,7 +268,9 @@ def _noise(value: np.ndarray) -> np.ndarray:
         return np.ones_like(value)
     bent = np.abs(np.diff(value, 3, axis=0)) / np.sqrt(20)  # of white noise, as it is
     before = NOISE_OVER // 2 + 1
-    padded = np.pad(bent, ((before, NOISE_OVER + 2 - before), (0, 0)), mode="symmetric")
+    padded = np.pad(
+        bent, ((before, NOISE_OVER + 2 - before), (0, 0)), mode="symmetric"
+    )
     return 1.4826 * np.maximum(_medians(padded, NOISE_OVER), np.median(bent, 0))
 
 
@@ -271,7 +280,9 @@ def _medians(value: np.ndarray, count: int) -> np.ndarray:
     return np.asarray(np.median(windows, -1))
 
 
-def group_means(group: np.ndarray, value: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def group_means(
+    group: np.ndarray, value: np.ndarray, weight: np.ndarray
+) -> np.ndarray:
     """(groups, c) weighted means of value (k, c). group : (k,) int, all from 0 on"""
     total = np.bincount(group, weight)
     columns = [np.bincount(group, weight * column) / total for column in value.T]

@@ -143,7 +143,9 @@ class LightFit:
                 continue
             if cone_deg < NO_CONE_DEG:
                 towards = triple(li.direction), triple(rgb)
-                lamps.append(DirectionalLight(*towards, li.angular_size_deg, cone_deg))
+                lamps.append(
+                    DirectionalLight(*towards, li.angular_size_deg, cone_deg)
+                )
                 continue
             fraction, mean = (_DOME, 1 / 3) if li.dome else (_COSINE, 1 / 4)
             soft += (fraction * harmonics(li.direction))[:, None] * rgb
@@ -156,7 +158,9 @@ def span_deg(normals: np.ndarray) -> float:
     """Widest angle between unit normals (k, 3)."""
     few = normals[:: len(normals) // _HELD + 1]
     return float(
-        np.degrees(arccos(min((float((normals @ n).min()) for n in few), default=1.0)))
+        np.degrees(
+            arccos(min((float((normals @ n).min()) for n in few), default=1.0))
+        )
     )
 
 

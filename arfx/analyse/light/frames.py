@@ -68,7 +68,9 @@ def solve_patches(
     sigma = np.ptp(found.bias_95, 1) / (2 * 1.96)
     of_light, unseen = found.bias / albedo.max(1), UNSEEN * np.abs(found.y)
     known = of_light * divide(found.bias**2, sigma**2 + found.bias**2)
-    held = np.where(_certain_bias(found), 0, of_light - np.clip(known, -unseen, unseen))
+    held = np.where(
+        _certain_bias(found), 0, of_light - np.clip(known, -unseen, unseen)
+    )
     if other is not None:
         other = replace(other, y=other.y + held)
     return replace(found, y=found.y + held), other
@@ -134,7 +136,9 @@ def with_light(
     spans: list[dict[str, Any]] = []
     # frames that share one static frame: the whole clip, or each shot where the camera's
     # axes are the static ones
-    for _, group in groupby(static_from_world, lambda k: facts[k].shot if turns else 0):
+    for _, group in groupby(
+        static_from_world, lambda k: facts[k].shot if turns else 0
+    ):
         frames = [*group]
         part = static_frame_light(frames, facts, static_from_world, readings, params)
         if given is None:
@@ -145,7 +149,9 @@ def with_light(
         out |= lights
         ends = {"start_s": facts[frames[0]].time_s, "end_s": facts[frames[-1]].time_s}
         reports.append((len(frames), report))
-        spans += report.pop("spans", None) or [ends | {k: report[k] for k in _OF_SPAN}]
+        spans += report.pop("spans", None) or [
+            ends | {k: report[k] for k in _OF_SPAN}
+        ]
     report = max(reports, key=lambda r: r[0])[1] if reports else {}
     bias = _certain_bias(photometry)
     lit = list(facts)
@@ -155,7 +161,9 @@ def with_light(
             bias_rgb=triple(bias),
         )
     for k, cells in shaded.items():
-        lit[k] = lit[k].with_(plane_shadow=real_shadow(cells - bias.mean(), corners_m))
+        lit[k] = lit[k].with_(
+            plane_shadow=real_shadow(cells - bias.mean(), corners_m)
+        )
     p = photometry
     known_bias = p.determined.all()
     figures = ("rank", "unknowns", "condition", "misfit")
@@ -239,8 +247,15 @@ def _usable(
     stands shows the object's, at its `place`. Where most are, nothing else is left."""
     rows = []
     for row in patch_readings:
-        fact, marker = analysis.facts[row.frame], analysis.world_from_marker.get(row.key)
-        if fact.status != MEASURED or fact.camera_from_world is None or marker is None:
+        fact, marker = (
+            analysis.facts[row.frame],
+            analysis.world_from_marker.get(row.key),
+        )
+        if (
+            fact.status != MEASURED
+            or fact.camera_from_world is None
+            or marker is None
+        ):
             continue
         stands = fact.camera_from_world @ marker
         if -stands.rotation[:, 2] @ normalise(stands.translation_m) >= LEAST_FACING:
@@ -252,6 +267,8 @@ def _usable(
     if 2 * even.sum() <= len(rows):
         return rows, np.ones(len(rows), bool)
     kept = [
-        i for i, (row, _) in enumerate(rows) if even[i] or row.key == analysis.anchor.key
+        i
+        for i, (row, _) in enumerate(rows)
+        if even[i] or row.key == analysis.anchor.key
     ]
     return [rows[i] for i in kept], even[kept]

@@ -51,7 +51,9 @@ def light_from_panorama(picture: np.ndarray) -> Light:
         np.roll(a, dark, 1) for a in (small, direction, power, bright)
     )
     count, labels = cv2.connectedComponents(bright.astype(np.uint8), connectivity=8)
-    shares = np.bincount(labels.ravel(), power.ravel(), count) / max(power.sum(), 1e-300)
+    shares = np.bincount(labels.ravel(), power.ravel(), count) / max(
+        power.sum(), 1e-300
+    )
     lamps = []
     for k in 1 + np.argsort(-shares[1:], kind="stable")[:2]:
         if shares[k] < LEAST_FRACTION:

@@ -32,20 +32,40 @@ from arfx.core.numerics import angle_between
 MEASURED, LIKELY, REFUSED = "measured", "likely", "refused"
 LEAST_CONE_DEG = 1.0  # what lamps that are near, sizes and gloss may shift it by
 LEAST_EVIDENCE = 10.0  # BIC that one more light must gain
-MOST_OFF_DEG = (
-    60.0  # cone of a likely light: half of it still comes from where it is thought to be
-)
+MOST_OFF_DEG = 60.0  # cone of a likely light: half of it still comes from where it is thought to be
 NO_CONE_DEG = 180.0
 LEAST_LIGHT = 0.015  # share of the light seen below which a light counts as none
-LEAST_SHADOW = 0.1  # share of the light from which a lamp casts a shadow worth the name
+LEAST_SHADOW = (
+    0.1  # share of the light from which a lamp casts a shadow worth the name
+)
 # of readings and normals, slow over a clip: times the condition it turns the direction, radians
 SYSTEMATIC_ERROR = 0.0005
 MOST_GROUPS = 30  # of which directions are found; each has amplitudes of its own
-SKY_DEG = 30.0  # what ambient light alone that is brighter from one side widens a cone to
+SKY_DEG = (
+    30.0  # what ambient light alone that is brighter from one side widens a cone to
+)
 _SOFT = np.sin(np.radians([[10.0], [20.0], [35.0]]))  # of one light's disc
 _RATIOS = (1.0, 0.6, 0.35)  # of the weaker of two lamps that pose as one
 _RINGS_DEG = np.array(
-    [0.5, 1, 1.5, 2.5, 3.5, 5, 7.5, 10, 15, 20, 30, 40, 50, 60, 75, NO_CONE_DEG, np.inf]
+    [
+        0.5,
+        1,
+        1.5,
+        2.5,
+        3.5,
+        5,
+        7.5,
+        10,
+        15,
+        20,
+        30,
+        40,
+        50,
+        60,
+        75,
+        NO_CONE_DEG,
+        np.inf,
+    ]
 )
 _AZIMUTHS = np.arange(8)[:, None] * np.pi / 4
 _TRIED, _KEPT = 40, 8  # of the pairs on the grid; of the minima
@@ -127,7 +147,10 @@ class Explanations:
         amplitudes = solve(self.groups, lights).amplitudes
         total, seen = np.zeros(len(lights)), np.zeros(lights.mix.shape[:2])
         for number, group in enumerate(self.groups):
-            size, weight = amplitudes[:, number].sum(1), group.root**2  # (n, m + 1), (k,)
+            size, weight = (
+                amplitudes[:, number].sum(1),
+                group.root**2,
+            )  # (n, m + 1), (k,)
             column = lights.mix @ lights.columns(group)[0]
             seen += size[:, 1:] * (column @ weight)
             total += size[:, 0] * weight.sum()
@@ -163,7 +186,9 @@ class Explanations:
         if best.soft[0, light] >= DOME:
             return Assessment(REFUSED, NO_CONE_DEG, "it is a sky")
         direction = best.dirs[0, light]
-        slack = float(np.degrees(SYSTEMATIC_ERROR * self.samples.condition(direction)))
+        slack = float(
+            np.degrees(SYSTEMATIC_ERROR * self.samples.condition(direction))
+        )
         bound, vector_deg, doubts = self.bound(), 0.0, []
         least = min(LEAST_SHADOW, self.shares(best)[0][0, light] / 2)
         middle = self.samples.normals.mean(0)
@@ -174,7 +199,9 @@ class Explanations:
             lamp = (inside.soft < DOME) & (shares >= least)
             nearest = np.where(lamp, off, np.inf).min(1)
             # what casts no shadow is nowhere, but its middle is where the lamp is thought to be
-            farthest = np.where(np.isfinite(nearest), nearest, SKY_DEG).max(initial=0.0)
+            farthest = np.where(np.isfinite(nearest), nearest, SKY_DEG).max(
+                initial=0.0
+            )
             ring = float(_RINGS_DEG[np.searchsorted(_RINGS_DEG, farthest + 1e-6)])
             apart = np.degrees(angle_between(inside.dirs[:, 0], inside.dirs[:, -1]))
             limits = _up_to(ring, ring), _up_to(apart.max(initial=0.0), ring)
@@ -274,4 +301,6 @@ def _around(d: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _up_to(degrees: float, ring_deg: float) -> str:
     more = ring_deg >= NO_CONE_DEG
-    return f"{degrees:.0f} degrees or more" if more else f"up to {degrees:.3g} degrees"
+    return (
+        f"{degrees:.0f} degrees or more" if more else f"up to {degrees:.3g} degrees"
+    )

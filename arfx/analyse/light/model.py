@@ -67,7 +67,10 @@ class Lights:
 
     def columns(self, group: Group) -> tuple[np.ndarray, np.ndarray]:
         """What each direction gives k normals, and its slope by n.d, both (n, q, k)."""
-        c, soft = self.dirs @ group.normals.T, np.maximum(self.soft, _POINT)[..., None]
+        c, soft = (
+            self.dirs @ group.normals.T,
+            np.maximum(self.soft, _POINT)[..., None],
+        )
         low, full = np.maximum(c + soft, 0), c >= soft
         on = np.where(soft < DOME, group.lit, 1.0)
         shade, slope = np.where(full, c, low**2 / (4 * soft)), low / (2 * soft)
@@ -84,7 +87,10 @@ def each(dirs: np.ndarray, soft: np.ndarray | float = 0.0) -> Lights:
 
 def joined(sets: Sequence[Lights]) -> Lights:
     return Lights(
-        *(np.concatenate([getattr(s, k) for s in sets]) for k in ("dirs", "soft", "mix"))
+        *(
+            np.concatenate([getattr(s, k) for s in sets])
+            for k in ("dirs", "soft", "mix")
+        )
     )
 
 
@@ -127,7 +133,9 @@ def turns_of(dirs: np.ndarray) -> np.ndarray:
     return np.stack([first, np.cross(dirs, first)], -2)
 
 
-def solve(groups: Sequence[Group], lights: Lights, moved: Sequence[int] = ()) -> Solution:
+def solve(
+    groups: Sequence[Group], lights: Lights, moved: Sequence[int] = ()
+) -> Solution:
     """moved : numbers of the directions whose turns are asked for"""
     n, m, moved = len(lights), lights.mix.shape[1] + 1, list(moved)
     across = turns_of(lights.dirs[:, moved])
@@ -148,14 +156,18 @@ def solve(groups: Sequence[Group], lights: Lights, moved: Sequence[int] = ()) ->
         rows *= group.root
         bent = (rows @ group.bend.T).swapaxes(1, 2)  # (n, 3, m + p)
         kept = group.bend_weight[:, None] * bent
-        G = (rows @ rows.swapaxes(1, 2))[:, None] - kept[..., None] * bent[..., None, :]
+        G = (rows @ rows.swapaxes(1, 2))[:, None] - kept[..., None] * bent[
+            ..., None, :
+        ]
         h = (rows @ group.value.T).swapaxes(1, 2)
         h = h - kept * (group.bend * group.value).sum(1)[:, None]
         x, inverse = non_negative(G[..., :m, :m], h[..., :m])
         chi2 -= (x * h[..., :m]).sum((1, 2))
         amplitudes[:, number] = x
         if p:
-            size = np.repeat((x[..., 1:] @ lights.mix)[..., moved], 2, -1)  # (n, 3, p)
+            size = np.repeat(
+                (x[..., 1:] @ lights.mix)[..., moved], 2, -1
+            )  # (n, 3, p)
             cross = G[..., m:, :m]
             free = G[..., m:, m:] - cross @ inverse @ cross.swapaxes(2, 3)
             left = h[..., m:] - (cross @ x[..., None])[..., 0]
@@ -179,7 +191,9 @@ def refine(
             break
         diagonal = np.einsum("nii->ni", now.curvature)
         added = (
-            damping[:, None] * diagonal + 1e-9 * diagonal.max(1, keepdims=True) + 1e-12
+            damping[:, None] * diagonal
+            + 1e-9 * diagonal.max(1, keepdims=True)
+            + 1e-12
         )
         step = np.linalg.solve(
             now.curvature + added[..., None] * np.eye(p), -now.gradient[..., None]

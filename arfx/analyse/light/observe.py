@@ -54,7 +54,8 @@ class LightReader:
         }
         for key, print_ in job.prints.items():
             self._meters[key] = [
-                patches.pattern_meter(print_, ink, paper, soft) for soft in patches.SOFT
+                patches.pattern_meter(print_, ink, paper, soft)
+                for soft in patches.SOFT
             ]
         self.readings: list[Reading] = []
         self.changes: list[BackgroundChange] = []
@@ -142,7 +143,11 @@ def light_checks(summary: Mapping[str, Any]) -> Iterator[Check]:
     # not need it
     known = light["verdict"] != REFUSED
     yield Check(
-        "light direction", light["verdict"], "measured or given", known, light["reason"]
+        "light direction",
+        light["verdict"],
+        "measured or given",
+        known,
+        light["reason"],
     )
     if light["normals_seen"]:
         yield Check(

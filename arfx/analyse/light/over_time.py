@@ -19,7 +19,13 @@ from itertools import pairwise
 import numpy as np
 
 from arfx.analyse.light.fit import LightFit, doubted, fit
-from arfx.analyse.light.hypotheses import LIKELY, MEASURED, NO_CONE_DEG, REFUSED, Params
+from arfx.analyse.light.hypotheses import (
+    LIKELY,
+    MEASURED,
+    NO_CONE_DEG,
+    REFUSED,
+    Params,
+)
 from arfx.analyse.light.sphere import DEG_4, nearest_cell
 from arfx.core.light import harmonics
 from arfx.core.numerics import angle_between, divide
@@ -68,7 +74,13 @@ class _Observations:
     group: np.ndarray
 
     def __getitem__(self, rows: slice | np.ndarray) -> _Observations:
-        arrays = self.times_s, self.normals, self.irradiance, self.variance, self.group
+        arrays = (
+            self.times_s,
+            self.normals,
+            self.irradiance,
+            self.variance,
+            self.group,
+        )
         return _Observations(self.params, *(a[rows] for a in arrays))
 
     def spans(self, windows: Sequence[tuple[int, LightFit, int]]) -> list[Span]:
@@ -105,7 +117,9 @@ class _Observations:
         if not found.claimed:
             return found
         limit_deg = self.params.limit_deg
-        apart = np.mean(_mean_lengths(self.times_s, self.normals) < _SOMEWHAT_APART) > 0.5
+        apart = (
+            np.mean(_mean_lengths(self.times_s, self.normals) < _SOMEWHAT_APART) > 0.5
+        )
         if apart and found.model_error > _GOOD_ERROR:
             return _refused(found, "prints beside each other do not show one light")
         agree_deg = limit_deg if apart else min(limit_deg, _AGREE_DEG)
@@ -125,7 +139,9 @@ class _Observations:
                 " direction"
             )
             return _refused(found, why)
-        doubt = f"its direction differs by {off:.0f} degrees between parts of the clip"
+        doubt = (
+            f"its direction differs by {off:.0f} degrees between parts of the clip"
+        )
         first = doubted(first, max(first.confidence_deg, 2 * off), doubt)
         reason = f"{found.reason}; {doubt}"
         lights = (first, *found.lights[1:])
@@ -228,7 +244,9 @@ def _switched(
     if not found.claimed or not by_state.steady(found):
         return None
     dark = replace(found, lights=tuple(li for li in found.lights if li.dome))
-    states = [(a, found if on else dark, 0) for a, on in zip(segments, lit, strict=True)]
+    states = [
+        (a, found if on else dark, 0) for a, on in zip(segments, lit, strict=True)
+    ]
     return SWITCHED, found, seen.spans(states)
 
 
@@ -327,7 +345,9 @@ def drift(
     H = harmonics(normals)  # slope within a cell taken out
     off = (light - H @ np.linalg.lstsq(H, light, rcond=1e-6)[0]) / level
     group = np.zeros(len(light), int) if group is None else group
-    cell = np.unique(group * DEG_4 + nearest_cell(normals, DEG_4), return_inverse=True)[1]
+    cell = np.unique(
+        group * DEG_4 + nearest_cell(normals, DEG_4), return_inverse=True
+    )[1]
     count = np.bincount(cell)
     off = off - (np.bincount(cell, off) / count)[cell]
     # numbered without holes: a clip may stand still for years

@@ -41,7 +41,9 @@ FEW = 0.15  # of the readings: so many spoilt ones can be left out
 _GAMMA = 2.2  # about the slope of the transfer function
 # cells along a pattern's side; how many of a quarter's are its bright ones, and its dark ones
 GRID, CHOSEN = 10, 8
-ROUGH = 4.0  # deviations within a cell by which it counts as less bright, or less dark
+ROUGH = (
+    4.0  # deviations within a cell by which it counts as less bright, or less dark
+)
 FINE = 8  # points of the albedo map along a cell's side
 # deviations, in these points, by which the map is blurred: one meter for each
 SOFT = (0.0, 0.35, 0.7, 1.4)
@@ -87,7 +89,9 @@ def meter_for(meters: Sequence[Meter], side_px: float, blur_px: float) -> Meter:
     is so long.
     """
     soft = np.array(SOFT[: len(meters)])
-    return meters[int(np.abs(soft - blur_px * GRID * FINE / max(side_px, 1.0)).argmin())]
+    return meters[
+        int(np.abs(soft - blur_px * GRID * FINE / max(side_px, 1.0)).argmin())
+    ]
 
 
 def pattern_meter(
@@ -105,7 +109,9 @@ def pattern_meter(
         seen = cv2.GaussianBlur(seen, (0, 0), soft, borderType=cv2.BORDER_REPLICATE)
     map_ = ink + (paper - ink) * seen.astype(float)
     # by quarter and cell of it: (quarter, cell, points, channel)
-    split = map_.reshape(2, half, FINE, 2, half, FINE, 3).transpose(0, 3, 1, 4, 2, 5, 6)
+    split = map_.reshape(2, half, FINE, 2, half, FINE, 3).transpose(
+        0, 3, 1, 4, 2, 5, 6
+    )
     quarters = split.reshape(4, half**2, FINE**2, 3)
     grey = quarters.mean(-1)
     level, rough = grey.mean(-1), ROUGH * grey.std(-1)
@@ -122,7 +128,9 @@ def pattern_meter(
         scale[row, best] = mean[:, None, None] / quarters[row, best]
         albedo[4 * white : 4 * white + 4] = mean
     cells = chosen.reshape(2, 2, half, half).transpose(0, 2, 1, 3).reshape(GRID, GRID)
-    over = scale.reshape(2, 2, half, half, FINE, FINE, 3).transpose(0, 2, 4, 1, 3, 5, 6)
+    over = scale.reshape(2, 2, half, half, FINE, FINE, 3).transpose(
+        0, 2, 4, 1, 3, 5, 6
+    )
     return Meter(cells, albedo, over.reshape(size, size, 3).astype(np.float32))
 
 
@@ -143,7 +151,9 @@ def read_print(
     value = seen.value
     if meter.scale is not None:
         x, y = cv2.split(seen.place * len(meter.scale) - 0.5)
-        even = cv2.remap(meter.scale, x, y, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+        even = cv2.remap(
+            meter.scale, x, y, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE
+        )
         even = even.reshape(n, len(x) // n, n, -1, 3).swapaxes(1, 2)
         value = value * even.reshape(value.shape)
     low = np.arange(n) >= n / 2
@@ -158,7 +168,11 @@ def read_print(
         for _ in range(2):
             mine = mine[_agreeing(mine.mean(1))]
         if len(mine) >= FEWEST:
-            count[g], mean[g], spread[g] = len(mine), mine.mean(0), mine.std(0, ddof=1)
+            count[g], mean[g], spread[g] = (
+                len(mine),
+                mine.mean(0),
+                mine.std(0, ddof=1),
+            )
     variance = _uncertainty(mean, spread, count, clipped, seen)
     bright = usable & (cells == 1)[..., None]
     light = np.ma.array(value.mean(-1), mask=~bright).mean(-1).filled(np.nan)
@@ -227,7 +241,9 @@ def _uncertainty(
     # characteristic function says
     dithered = np.exp(-4 * np.pi**2 * np.minimum((spread / step) ** 2, 2))
     out = spread**2 / np.maximum(used / seen.shared, 1e-9)[:, None]
-    out += step**2 / 12 * dithered + (lost * spread) ** 2 + (seen.leak * contrast) ** 2
+    out += (
+        step**2 / 12 * dithered + (lost * spread) ** 2 + (seen.leak * contrast) ** 2
+    )
     return np.where(used[:, None] > 0, out, 0)
 
 
@@ -241,7 +257,9 @@ def cut_off(fraction: np.ndarray) -> np.ndarray:
     from scipy.special import ndtri
 
     p = np.clip(fraction, 0, 0.99)
-    lost = np.exp(-(ndtri(np.maximum(p, 1e-9)) ** 2) / 2) / np.sqrt(2 * np.pi) / (1 - p)
+    lost = (
+        np.exp(-(ndtri(np.maximum(p, 1e-9)) ** 2) / 2) / np.sqrt(2 * np.pi) / (1 - p)
+    )
     return np.where(p > 0, 3 * lost, 0.0)
 
 
@@ -253,7 +271,8 @@ def stack(
     """
     marker = np.repeat(np.where(WHITE, paper, ink)[:, None], 3, 1)
     colours = [
-        np.where((p.count > 0)[:, None], [p.mean, p.variance], np.nan) for p in patches
+        np.where((p.count > 0)[:, None], [p.mean, p.variance], np.nan)
+        for p in patches
     ]
     intensity, variance = np.reshape(colours, (-1, 2, PATCHES, 3)).swapaxes(0, 1)
     albedos = [marker if p.albedo is None else p.albedo for p in patches]

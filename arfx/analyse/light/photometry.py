@@ -68,7 +68,10 @@ class Channel(NamedTuple):
     condition: float
     why: str = ""
     bias: float = 0.0
-    bias_95: tuple[float, float] = (-_NORMAL_95 * ASSUMED_BIAS, _NORMAL_95 * ASSUMED_BIAS)
+    bias_95: tuple[float, float] = (
+        -_NORMAL_95 * ASSUMED_BIAS,
+        _NORMAL_95 * ASSUMED_BIAS,
+    )
     misfit: float = 1.0
 
 
@@ -117,7 +120,9 @@ class Photometry:
             return "two albedos, bias and light determined"
         channels = "".join(np.array([*"RGB"])[~self.determined])
         why = "; ".join(sorted({*self.why[~self.determined]}))
-        return f"{channels}: {why}; bias 0 assumed, light from the bright patches alone"
+        return (
+            f"{channels}: {why}; bias 0 assumed, light from the bright patches alone"
+        )
 
     @property
     def reading(self) -> LightReading:
@@ -197,11 +202,15 @@ def assemble(
     """A Photometry of the channels' results."""
     columns = {
         name: np.array(column)
-        for name, column in zip(Channel._fields, zip(*parts, strict=True), strict=True)
+        for name, column in zip(
+            Channel._fields, zip(*parts, strict=True), strict=True
+        )
     }
     columns |= {"y": columns["y"].T, "var_y_own": columns["var_y_own"].T}
     columns["seen"] = np.asarray(columns["seen"].any(0))
-    share = float(np.mean(clipped)) if clipped is not None and np.size(clipped) else 0.0
+    share = (
+        float(np.mean(clipped)) if clipped is not None and np.size(clipped) else 0.0
+    )
     return Photometry(**columns, clipped=share, ignored=ignored)
 
 
@@ -259,7 +268,9 @@ def _solve_channel(
         residual = grey - rho * y[:, None] - b
         z = np.abs(residual) * np.sqrt(w0)
         usual = float(np.median(z[usable])) / 0.6745
-        scale = max(float(known), usual * np.sqrt(count / spare) if spare > 0 else 0.0)
+        scale = max(
+            float(known), usual * np.sqrt(count / spare) if spare > 0 else 0.0
+        )
         last, w = w, w0 * np.minimum(1.0, divide(_HUBER * scale, z, where_zero=1.0))
         if i and np.abs(w - last).max() <= 1e-6 * w0.max():
             break
@@ -290,7 +301,9 @@ def _solve_channel(
     # the ink's error over its tolerance: as an unknown beside the bias 0, with deviation 1
     of_ink = _apart(tolerances.ink_sigma * dark * y[:, None], w, rho, inverse)
     left = np.stack([of_bias, of_ink])
-    normal = np.einsum("itp,tp,jtp->ij", left, w, left) + scale**2 * np.diag([0.0, 1.0])
+    normal = np.einsum("itp,tp,jtp->ij", left, w, left) + scale**2 * np.diag(
+        [0.0, 1.0]
+    )
     covariance = np.linalg.pinv(normal, hermitian=True)[0]
     off = float(covariance @ (left * w * residual).sum((1, 2)))
     noise += scale**2 * max(float(covariance[0]) - 1 / remaining, 0.0)

@@ -68,7 +68,9 @@ def sample_cells(
     x, y = cv2.split(at)
     outside = (np.nan,) * 4
     seen = cv2.remap(read, x, y, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, outside)
-    cells = seen.reshape(n, k, n, k, 4).transpose(0, 2, 1, 3, 4).reshape(n, n, k * k, 4)
+    cells = (
+        seen.reshape(n, k, n, k, 4).transpose(0, 2, 1, 3, 4).reshape(n, n, k * k, 4)
+    )
     per_sample = inner**2 * wide_px * cell_px / k**2  # px^2
     nearest = (margin + inner * 0.5 / k) * cell_px
     leak = math.erfc(nearest / blur_px / math.sqrt(2)) if blur_px > 0 else 0.0

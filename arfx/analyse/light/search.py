@@ -89,8 +89,14 @@ def gather(
     the same light
     """
     n, E = (np.asarray(a, float).reshape(-1, 3) for a in (normals, irradiance))
-    v = np.broadcast_to(np.asarray(0 if variance is None else variance, float), E.shape)
-    g = np.zeros(len(n), int) if group is None else np.asarray(group).ravel().astype(int)
+    v = np.broadcast_to(
+        np.asarray(0 if variance is None else variance, float), E.shape
+    )
+    g = (
+        np.zeros(len(n), int)
+        if group is None
+        else np.asarray(group).ravel().astype(int)
+    )
     fine = np.isfinite(n).all(1) & np.isfinite(E).all(1) & np.isfinite(v).all(1)
     length = np.linalg.norm(np.where(fine[:, None], n, 0), axis=1)
     fine &= (length > 0.5) & ((v >= 0) & (v < _UNUSABLE)).all(1)
@@ -102,18 +108,26 @@ def gather(
     E, v = E / scale, (v / scale**2).mean(1)
     number = np.unique(g, return_inverse=True)[1]
     key, where = np.unique(number * FINE + nearest_cell(n, FINE), return_inverse=True)
-    rows = np.split(np.argsort(where, kind="stable"), np.cumsum(np.bincount(where))[:-1])
+    rows = np.split(
+        np.argsort(where, kind="stable"), np.cumsum(np.bincount(where))[:-1]
+    )
     N, X, V = (
-        np.array(a) for a in zip(*(_mean(n[r], E[r], v[r]) for r in rows), strict=True)
+        np.array(a)
+        for a in zip(*(_mean(n[r], E[r], v[r]) for r in rows), strict=True)
     )
     groups = key // FINE
-    coarse = np.unique(groups * COARSE + nearest_cell(N, COARSE), return_inverse=True)[1]
+    coarse = np.unique(
+        groups * COARSE + nearest_cell(N, COARSE), return_inverse=True
+    )[1]
     many, floor = np.bincount(coarse)[coarse], model_error**2
     variance_of_mean = V + many * floor + _LEAST**2
     effective = 3 * float(((V + floor + 1e-300) / (V + many * floor + 1e-300)).sum())
     starts, on = np.searchsorted(groups, np.arange(groups.max() + 2)), np.ones(len(N))
     if lit is not None:
-        starts, on = np.array([0, len(N)]), np.asarray(lit, float)[np.unique(g)[groups]]
+        starts, on = (
+            np.array([0, len(N)]),
+            np.asarray(lit, float)[np.unique(g)[groups]],
+        )
     return Samples(N, X, 1 / variance_of_mean, starts, scale, effective, on)
 
 

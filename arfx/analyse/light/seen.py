@@ -36,7 +36,9 @@ from arfx.core.numerics import divide, smoothstep
 FACE_PX = 64  # of a map
 SNAPSHOT_PX = 128  # width of the pictures that are kept
 KEY_S = 1.0  # from map to map
-MOST_MAPS = 64  # in a clip, beside one for each shot: beyond that they lie farther apart
+MOST_MAPS = (
+    64  # in a clip, beside one for each shot: beyond that they lie farther apart
+)
 NEAR_S = 1.0  # time in which a snapshot's weight falls to 1 / e, before and after it
 LASTING = 1e-3  # weight of any other snapshot of the shot
 EDGE = 0.12  # of a picture's shorter side, along which its weight falls to 0
@@ -108,7 +110,10 @@ def with_seen(
         inverse_radius = 0.0 if still_camera else _inverse_radius(posed, up)
         first, last = posed[0].time_s, posed[-1].time_s
         times = np.linspace(first, last, 1 + int(np.ceil((last - first) / apart_s)))
-        keys[shot] = times, [_named(m, maps) for m in _maps(posed, times, inverse_radius)]
+        keys[shot] = (
+            times,
+            [_named(m, maps) for m in _maps(posed, times, inverse_radius)],
+        )
     out = []
     for f in facts:
         if f.camera_from_world is not None and f.shot in keys:
@@ -122,7 +127,9 @@ def with_seen(
             )
             pair = names[k], names[min(k + 1, len(names) - 1)]
             f = f.with_(
-                seen_environment=SeenEnvironment(pair, round(float(place - k), 4), axes)
+                seen_environment=SeenEnvironment(
+                    pair, round(float(place - k), 4), axes
+                )
             )
         out.append(f)
     return tuple(out), maps
@@ -210,7 +217,9 @@ class _Posed:
         at = self.camera.project(along + inverse_radius * self.centre_m)
         scale = w / self.camera.width, h / self.camera.height
         at = (np.where(np.isfinite(at), at, -1e4) + 0.5) * scale - 0.5
-        inside = np.minimum(at + 0.5, [w - 0.5, h - 0.5] - at).min(1) / (EDGE * min(w, h))
+        inside = np.minimum(at + 0.5, [w - 0.5, h - 0.5] - at).min(1) / (
+            EDGE * min(w, h)
+        )
         x, y = cv2.split(at[:, None].astype(np.float32))
         border = cv2.BORDER_REPLICATE
         found = cv2.remap(self.picture, x, y, cv2.INTER_LINEAR, borderMode=border)
@@ -231,7 +240,9 @@ def _inverse_radius(snapshots: Sequence[_Posed], up: np.ndarray) -> float:
     """
     chosen = [
         snapshots[i]
-        for i in np.unique(np.linspace(0, len(snapshots) - 1, SWEEP_LOOKS).astype(int))
+        for i in np.unique(
+            np.linspace(0, len(snapshots) - 1, SWEEP_LOOKS).astype(int)
+        )
     ]
     d = face_directions(SWEEP_PX).reshape(-1, 3)
     d = d[d @ up > 0]
@@ -242,7 +253,10 @@ def _inverse_radius(snapshots: Sequence[_Posed], up: np.ndarray) -> float:
     for inverse_radius in inverse:
         rgb, weight = map(
             np.array,
-            zip(*(snapshot.seen(d, inverse_radius) for snapshot in chosen), strict=True),
+            zip(
+                *(snapshot.seen(d, inverse_radius) for snapshot in chosen),
+                strict=True,
+            ),
         )
         total, weights = weight.sum(0), weight[..., None]
         # as it looks: a lamp does not outweigh the room
@@ -278,7 +292,9 @@ def _maps(
         rgba = (rgba * known[:, None]).reshape(6, FACE_PX, FACE_PX, 4)
         mean = divide(rgba[..., :3].sum((0, 1, 2)), known.sum())
         most = np.append(BRIGHT * mean, 1).astype(np.float32)
-        out.append(np.clip(_filled(rgba.astype(np.float32), most), 0, [6e4, 6e4, 6e4, 1]))
+        out.append(
+            np.clip(_filled(rgba.astype(np.float32), most), 0, [6e4, 6e4, 6e4, 1])
+        )
     return out
 
 

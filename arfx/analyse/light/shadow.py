@@ -28,7 +28,9 @@ def quarters(cells: np.ndarray) -> np.ndarray:
     half = len(cells) // 2
     ends = slice(None, half), slice(half, None)
     known = [[a[np.isfinite(a)] for a in (cells[y, x] for x in ends)] for y in ends]
-    return np.array([[np.median(a) if len(a) else np.nan for a in row] for row in known])
+    return np.array(
+        [[np.median(a) if len(a) else np.nan for a in row] for row in known]
+    )
 
 
 def clearly_shaded(cells: np.ndarray) -> bool:
@@ -94,6 +96,12 @@ def _edge(cells: np.ndarray) -> tuple[np.ndarray, float]:
         across = places @ [np.cos(p[0]), np.sin(p[0])] - p[1]
         return p[3] + (p[4] - p[3]) * smoothstep(across / np.exp(p[2]) + 0.5) - light
 
-    start = [np.arctan2(-slope[1], -slope[0]), 0.0, np.log(0.5), light.max(), light.min()]
+    start = [
+        np.arctan2(-slope[1], -slope[0]),
+        0.0,
+        np.log(0.5),
+        light.max(),
+        light.min(),
+    ]
     p = least_squares(off, start, loss="soft_l1", f_scale=0.05).x
     return np.array([np.cos(p[0]), np.sin(p[0])]), float(np.exp(p[2]))

@@ -174,7 +174,9 @@ class StaticFrameLight:
             n, shown = self.normals, self.reading.y
             if stated:
                 left = (shown - light.radiance(n) + light.soft_radiance(n)).mean(0)
-                light = Light(triple(np.clip(left, 0, None)), light.lights, light.source)
+                light = Light(
+                    triple(np.clip(left, 0, None)), light.lights, light.source
+                )
             else:
                 light = scaled_to(light, n, shown)
             lights = self._follow([light])
@@ -243,7 +245,9 @@ class StaticFrameLight:
         if not used.any():
             return {k: models[i] for k, i in zip(self.frames, of_frame, strict=True)}
         # what the model does not change already
-        bright = np.array([max(m.mean_radiance.mean(), 1e-9) for m in models])[of_frame]
+        bright = np.array([max(m.mean_radiance.mean(), 1e-9) for m in models])[
+            of_frame
+        ]
         change = self.change - np.diff(np.log(bright), prepend=np.log(bright[0]))
         factors = np.exp(
             brightness(

@@ -129,7 +129,8 @@ def soft_of(faces: np.ndarray, world_from_camera: np.ndarray) -> np.ndarray:
         @ np.asarray(world_from_camera, float).round(12).T
     )
     basis = (
-        harmonics(directions) * np.tile(solid_angles(faces.shape[1]).ravel(), 6)[:, None]
+        harmonics(directions)
+        * np.tile(solid_angles(faces.shape[1]).ravel(), 6)[:, None]
     )
     return DIFFUSE[:, None] * (basis.T @ faces.reshape(-1, 3))
 
@@ -165,7 +166,9 @@ def environment_sample(
     at = np.rint(middle + AROUND * (sides.reshape(-1, 2) - middle)).astype(int)
     inside = ((at >= 0) & (at < picture.shape[1::-1])).all(1)
     beside = (
-        picture[at[inside, 1], at[inside, 0]] if inside.any() else picture.reshape(-1, 3)
+        picture[at[inside, 1], at[inside, 0]]
+        if inside.any()
+        else picture.reshape(-1, 3)
     )
     small = cv2.resize(
         np.ascontiguousarray(picture, np.float32),
@@ -179,7 +182,9 @@ def environment_sample(
     )
 
 
-def overhead(static_from_camera: Sequence[np.ndarray], normal: np.ndarray) -> np.ndarray:
+def overhead(
+    static_from_camera: Sequence[np.ndarray], normal: np.ndarray
+) -> np.ndarray:
     """(3,) unit, STATIC axes: where most of the light of a room or a sky is taken to come from.
 
     A plane that lies faces it. An upright one sees the half of the room before it: halfway
@@ -270,7 +275,9 @@ def with_environment(
     still_camera : the static frame is the camera's, else the world's;  world_from_anchor : (3, 3)
     """
     # is no light
-    bias = np.array(next((f.bias_rgb for f in facts if f.light is not None), (0.0,) * 3))
+    bias = np.array(
+        next((f.bias_rgb for f in facts if f.light is not None), (0.0,) * 3)
+    )
     seen: dict[int, list[EnvironmentSample]] = {}
     whole: dict[int, CubeMap] = {}
     for sample in samples:
@@ -285,7 +292,9 @@ def with_environment(
             cubes = [np.clip(look.cube - bias, 0, None) for look in looks]
             if not still_camera:
                 turns = (facts[look.frame].pose.rotation for look in looks)
-                cubes = [turned(cube, t) for cube, t in zip(cubes, turns, strict=True)]
+                cubes = [
+                    turned(cube, t) for cube, t in zip(cubes, turns, strict=True)
+                ]
             plane = np.mean([look.plane for look in looks], 0)
             whole[shot] = CubeMap.of(
                 np.mean(cubes, 0), None, np.clip(plane - bias, 0, None)

@@ -36,19 +36,25 @@ class CodedPrints:
         self._in_view = False  # in the frame before
         self._empty = -1  # number of a frame whose reduced image shows none
 
-    def follow(self, frame: AnalysisFrame, last: Mapping[str, Track]) -> list[Candidate]:
+    def follow(
+        self, frame: AnalysisFrame, last: Mapping[str, Track]
+    ) -> list[Candidate]:
         """Nothing of a small frame in which a whole search could find more."""
         tracks = list(last.values())
         self._in_view = any(t.missing == 0 for t in tracks)
         sure = all(t.missing == 0 and sides(t.quad).min() >= SURE_PX for t in tracks)
-        if frame.luma.size <= REDUCED_PX and not (sure and len(tracks) == len(self.keys)):
+        if frame.luma.size <= REDUCED_PX and not (
+            sure and len(tracks) == len(self.keys)
+        ):
             return []
         luma = frame.luma
         rects = [_rect(t, frame.time_s) for t in tracks]
         seen = list[Candidate]()
         for part in _merged(rects, luma):
             near = [
-                t for t, r in zip(tracks, rects, strict=True) if not r.clip(part).empty
+                t
+                for t, r in zip(tracks, rects, strict=True)
+                if not r.clip(part).empty
             ]
             least_px = SHRINK * min(sides(t.quad).min() for t in near)
             seen += self.detector.search(luma, part, min_side_px=least_px)
@@ -70,7 +76,9 @@ class CodedPrints:
         hits = self._on_reduced(luma, missing)
         rects = [Rect.around(c.quad_px, max(24.0, 0.5 * c.side_px)) for c in hits]
         return [
-            c for part in _merged(rects, luma) for c in self.detector.search(luma, part)
+            c
+            for part in _merged(rects, luma)
+            for c in self.detector.search(luma, part)
         ]
 
     def _on_reduced(self, luma: np.ndarray, keys: Sequence[str]) -> list[Candidate]:
@@ -81,7 +89,9 @@ class CodedPrints:
 def _rect(track: Track, time_s: float) -> Rect:
     """Where a marker may be."""
     shift = track.predicted(time_s).mean(0) - track.quad.mean(0)
-    spread = max(0.4 * sides(track.quad).max(), 20.0) * (1 + 0.25 * min(track.missing, 4))
+    spread = max(0.4 * sides(track.quad).max(), 20.0) * (
+        1 + 0.25 * min(track.missing, 4)
+    )
     return Rect.around(track.quad + shift, spread + 0.5 * float(np.abs(shift).max()))
 
 

@@ -50,7 +50,9 @@ _BLUR_CELLS, _NEXT_CELL = (
 _EXACT = (3, 40, 1e-12)  # of an undistorted point: most rounds, and their last step
 _ROWS = np.array([[1, 0], [0, 1], [1, 1], [1, -1], [2, 1], [2, -1], [1, 2], [1, -2]])
 FAINT = 0.25  # light (of 255) across an edge below which it is taken for none
-MOST_PX = 1e5  # of a corner from the picture's: those that are farther off make no sense
+MOST_PX = (
+    1e5  # of a corner from the picture's: those that are farther off make no sense
+)
 # from coded luma to the values in which corners are refined
 LIGHT, CODE = "srgb", "gamma:1"
 SIGHTINGS = 12  # by fewer than that nothing is decided
@@ -83,7 +85,9 @@ class Corners(NamedTuple):
 @cache
 def linear_table(transfer: str = LIGHT) -> np.ndarray:
     """(256,) float32: coded luma to linear light on a scale of 0..255; read-only."""
-    table = (Transfer(transfer).decode(np.arange(256) / 255.0) * 255.0).astype(np.float32)
+    table = (Transfer(transfer).decode(np.arange(256) / 255.0) * 255.0).astype(
+        np.float32
+    )
     table.flags.writeable = False
     return table
 
@@ -158,7 +162,9 @@ def shared_px(
     # the line that runs to a corner from the samples on its side carries their error on,
     # and more of it if they disagree
     return np.where(
-        np.isfinite(blur_px), np.sqrt((1.3**2 * step**2 * shared + near**2).mean(1)), 0.0
+        np.isfinite(blur_px),
+        np.sqrt((1.3**2 * step**2 * shared + near**2).mean(1)),
+        0.0,
     )
 
 
@@ -197,7 +203,9 @@ def _bend(quad: np.ndarray, camera: Camera | None) -> np.ndarray:
     chord, side = ((np.roll(a, -1, 1) - a)[:, :, None] for a in (quad, ideal))
     foot = quad[:, :, None] + FRACTIONS[:, None] * chord
     share = FRACTIONS[:, None]
-    for _ in range(2):  # where along the ideal side: the lens moves points along it, too
+    for _ in range(
+        2
+    ):  # where along the ideal side: the lens moves points along it, too
         off = camera.distort(ideal[:, :, None] + share * side) * focal + centre - foot
         along = divide((off * chord).sum(-1), (chord * chord).sum(-1))[..., None]
         share = share - along

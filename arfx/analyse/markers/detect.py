@@ -156,6 +156,8 @@ class MarkerDetector:
         px += [area.x0, area.y0]
         out = [
             Candidate(families[int(family)], int(number), quad)
-            for family, number, quad in zip(np.ravel(of), np.ravel(ids), px, strict=True)
+            for family, number, quad in zip(
+                np.ravel(of), np.ravel(ids), px, strict=True
+            )
         ]
         return sorted(out, key=lambda c: (c.key, tuple(c.quad_px[0])))

@@ -136,7 +136,9 @@ def profiles(
     chord = corners[:, _NEXT] - corners
     inwards = (1j * chord / np.abs(chord)).astype(np.complex64)[..., None, None]
     foot = corners[..., None] + FRACTIONS * chord[..., None] + off_chord
-    along = (far[..., None] * np.linspace(-1, 1, steps)).astype(np.float32)[:, :, None]
+    along = (far[..., None] * np.linspace(-1, 1, steps)).astype(np.float32)[
+        :, :, None
+    ]
     wanted = foot.astype(np.complex64)[..., None] + along * inwards
     exact = np.round(wanted * _REMAP_STEPS) / _REMAP_STEPS
     along = along + ((exact - wanted) * inwards.conj()).real

@@ -91,7 +91,9 @@ def misplaced_px(
         weight = 1 / (1 + missed / 0.05) ** 2
     shift = ends @ fit.reshape(2, 3).T
     scatter = 1.4826 * float(np.median(missed))
-    if np.abs(shift).max() < max(AGREE_CELLS, _DOUBT * scatter / np.sqrt(len(off) / 2)):
+    if np.abs(shift).max() < max(
+        AGREE_CELLS, _DOUBT * scatter / np.sqrt(len(off) / 2)
+    ):
         return 0.0
     away = cv2.perspectiveTransform((square + shift)[None], h)[0] - corners_px
     return float(np.sqrt((away**2).sum(1).mean() / 2))

@@ -15,10 +15,15 @@ from arfx.core.marker_codes import cells_per_side, marker_cells
 from arfx.core.numerics import divide
 
 SAMPLES = 4  # a side of a cell; those at its border are mixed with its neighbour
-CLEAN = 0.95  # share of the cells around that are paper, and of the border's that are ink
+CLEAN = (
+    0.95  # share of the cells around that are paper, and of the border's that are ink
+)
 MARGIN = 0.25  # of the bits from half way between ink and paper; 1 = as ink and paper themselves
 HOLDS_FRAMES = 3  # a reading that is not sure by itself has to be in so many frames
-HOLDS, SURE = 1e-2, 1e-4  # chance at which a reading counts, and at which one is enough
+HOLDS, SURE = (
+    1e-2,
+    1e-4,
+)  # chance at which a reading counts, and at which one is enough
 
 
 def legible(luma: np.ndarray, seen: Candidate) -> tuple[bool, bool]:
@@ -29,7 +34,8 @@ def legible(luma: np.ndarray, seen: Candidate) -> tuple[bool, bool]:
 
     n = cells_per_side(seen.family)
     corners = (
-        SAMPLES * np.array([[1, 1], [n + 1, 1], [n + 1, n + 1], [1, n + 1]], np.float32)
+        SAMPLES
+        * np.array([[1, 1], [n + 1, 1], [n + 1, n + 1], [1, n + 1]], np.float32)
         - 0.5
     )
     warp = cv2.getPerspectiveTransform(corners, seen.quad_px.astype(np.float32))

@@ -49,14 +49,18 @@ _REACH = 3  # further halvings of the images for a homography that is only about
 # levels coarser; factor on the deviation there: neighbouring corners err alike under blur
 _BLURRED, _SHARED = 2, 2.0
 _RETURN_PX, _AGREE_PX = 0.7, 2.0  # there and back; and to a homography at first
-_CORNERS = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])  # order of MarkerSpec.corners_m
+_CORNERS = np.array(
+    [[0.0, 0], [1, 0], [1, 1], [0, 1]]
+)  # order of MarkerSpec.corners_m
 _SCALES = (0.7, 0.35, 0.18)  # of the picture whose features are matched
 # degrees: prints are square, or logos of up to six-fold symmetry; 270 is 90 seen from the other
 _TURNS = (180, 120, 90, 72)
 _SAME = 0.7  # share of corners: .5 where half of a print tells its turn
 _STEP = 1e-4  # of a homography's numbers, for its derivative
 _WORN = 4.0  # deviations at which a point counts half
-_ALIKE = 1.5  # corners whose windows overlap err alike: factor on the deviation of a fit
+_ALIKE = (
+    1.5  # corners whose windows overlap err alike: factor on the deviation of a fit
+)
 _LEAST_PX = 1e-4  # of residuals: no corner is followed better
 
 
@@ -191,7 +195,9 @@ def _found(finder: cv2.Feature2D, image: np.ndarray) -> tuple[np.ndarray, np.nda
     keypoints, descriptors = finder.detectAndCompute(image, None)
     if descriptors is None:
         return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
-    return (np.array([k.pt for k in keypoints]) + 0.5) / image.shape[::-1], descriptors
+    return (np.array([k.pt for k in keypoints]) + 0.5) / image.shape[
+        ::-1
+    ], descriptors
 
 
 def _described(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -200,7 +206,9 @@ def _described(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     plain = cv2.SIFT.create(FEATURES, contrastThreshold=_FAINT)
     finder, found = cv2.AffineFeature.create(plain, 1, 0, 2.0, 90.0), []
     for scale in _SCALES:
-        small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        small = cv2.resize(
+            image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA
+        )
         found.append(_found(finder, small))
     units, descriptors = map(np.concatenate, zip(*found, strict=True))
     inside = ((units > 0) & (units < 1)).all(1)
@@ -215,7 +223,9 @@ def plausible(quad: np.ndarray) -> bool:
         return False
     side, longest = np.roll(quad, -1, 0) - quad, float(sides(quad).max())
     turns = np.linalg.det(np.stack([side, np.roll(side, -1, 0)], 1))
-    return bool(longest >= LEAST_SIDE_PX and turns.min() >= LEAST_SIDE_PX / 4 * longest)
+    return bool(
+        longest >= LEAST_SIDE_PX and turns.min() >= LEAST_SIDE_PX / 4 * longest
+    )
 
 
 def homography_of(quad: np.ndarray) -> np.ndarray:
@@ -246,7 +256,9 @@ def _level(image: np.ndarray) -> Level:
     margin = min(_MARGIN_PX, min(even.shape) // 8)
     inside[margin:-margin, margin:-margin] = 255
     apart = max(max(even.shape) / 28, 2.0)
-    points = cv2.goodFeaturesToTrack(even, _POINTS, 0.02, apart, mask=inside, blockSize=5)
+    points = cv2.goodFeaturesToTrack(
+        even, _POINTS, 0.02, apart, mask=inside, blockSize=5
+    )
     return Level(even, np.reshape(() if points is None else points, (-1, 2)))
 
 
@@ -256,7 +268,9 @@ def _mapped(h: np.ndarray, xy: np.ndarray) -> np.ndarray:
     return np.where(p[..., 2:] > 1e-9, divide(p[..., :2], p[..., 2:]), np.nan)
 
 
-def _pixels(camera: Camera, ideal_from_unit: np.ndarray, unit: np.ndarray) -> np.ndarray:
+def _pixels(
+    camera: Camera, ideal_from_unit: np.ndarray, unit: np.ndarray
+) -> np.ndarray:
     ideal = _mapped(ideal_from_unit, unit)
     return camera.project(np.concatenate([ideal, np.ones_like(ideal[..., :1])], -1))
 
@@ -302,7 +316,11 @@ def _match(
     part = luma[: rows * fine, : columns * fine]
     part = cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA)
     fisheye = camera.model == FISHEYE
-    maps = cv2.fisheye.initUndistortRectifyMap if fisheye else cv2.initUndistortRectifyMap
+    maps = (
+        cv2.fisheye.initUndistortRectifyMap
+        if fisheye
+        else cv2.initUndistortRectifyMap
+    )
     own, lens, view = camera.matrix, camera.distortion, np.linalg.inv(cut)
     places = maps(own, lens, view, np.eye(3), (w, h), cv2.CV_32FC1)
     x, y = ((px + 0.5) / fine - 0.5 for px in places)
@@ -336,13 +354,17 @@ def _aligned(name: str, match: _Match, camera: Camera) -> Detection | None:
         return (_mapped(changed(match.own, change), units) - moved).ravel()
 
     def corners_by(change: np.ndarray) -> np.ndarray:
-        return _pixels(camera, match.cut @ changed(match.own, change), _CORNERS).ravel()
+        return _pixels(
+            camera, match.cut @ changed(match.own, change), _CORNERS
+        ).ravel()
 
     first = missed_by(np.zeros(8))
     if not np.isfinite(first).all():
         return None
     worn = _WORN * _deviation(first)
-    fit = least_squares(missed_by, np.zeros(8), loss="arctan", f_scale=worn, ftol=1e-5)
+    fit = least_squares(
+        missed_by, np.zeros(8), loss="arctan", f_scale=worn, ftol=1e-5
+    )
     corners = corners_by(fit.x).reshape(4, 2)
     if not plausible(corners):
         return None

@@ -27,7 +27,9 @@ class PicturedPrints:
         self._pictures = tuple(pictures)
         self._camera = camera
 
-    def follow(self, frame: AnalysisFrame, last: Mapping[str, Track]) -> list[Detection]:
+    def follow(
+        self, frame: AnalysisFrame, last: Mapping[str, Track]
+    ) -> list[Detection]:
         camera = self._camera.scaled_to(*frame.luma.shape[::-1])
         seen = list[Detection]()
         for picture in self._pictures:
@@ -44,7 +46,9 @@ class PicturedPrints:
         features = frame_features(frame.luma, WHOLE_PX if whole else REDUCED_PX)
         seen = list[Detection]()
         for picture in self._pictures:
-            about = picture.find(features, camera) if picture.name in missing else None
+            about = (
+                picture.find(features, camera) if picture.name in missing else None
+            )
             if about is not None:
                 seen += _first(picture, frame, camera, [about])
         return seen

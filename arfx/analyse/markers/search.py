@@ -121,7 +121,9 @@ class MarkerSearch:
             scanned = ("", *sorted(scan(luma))) if index in SCANS else ()
             self.others += [OtherPrint(index, True, key) for key in scanned]
         whole = found.whole or pictured.whole
-        self.frames.append(FrameRow(index, time_s, width, height, whole, thumbnail(luma)))
+        self.frames.append(
+            FrameRow(index, time_s, width, height, whole, thumbnail(luma))
+        )
         return shown
 
 
@@ -149,11 +151,17 @@ def _check_markers(job: AnalysisJob) -> None:
 
 
 def _refined(
-    index: int, luma: np.ndarray, found: Sequence[Candidate], first: int, camera: Camera
+    index: int,
+    luma: np.ndarray,
+    found: Sequence[Candidate],
+    first: int,
+    camera: Camera,
 ) -> list[Sighting]:
     """first : so many of them are no duplicates"""
     in_light = refine_found(luma, found, LIGHT, camera)
-    doubtful = [k for k, (_, skew) in enumerate(in_light) if not symmetric_in_light(skew)]
+    doubtful = [
+        k for k, (_, skew) in enumerate(in_light) if not symmetric_in_light(skew)
+    ]
     in_code = refine_found(luma, [found[k] for k in doubtful], CODE, camera)
     rows = [(LIGHT if k in doubtful else ANY, k, *p) for k, p in enumerate(in_light)]
     rows += [(CODE, k, *p) for k, p in zip(doubtful, in_code, strict=True)]
@@ -224,7 +232,8 @@ def nothing_seen(
         )
     if strangers:
         other = ", ".join(
-            f"{key} ({scanned[key]} of {scans} sampled frames)" for key in strangers[:6]
+            f"{key} ({scanned[key]} of {scans} sampled frames)"
+            for key in strangers[:6]
         )
         return NothingToDoError(
             f"{message}; other dictionaries saw: {other}",
@@ -236,7 +245,9 @@ def nothing_seen(
     )
 
 
-def pattern_misfits(records: Iterable[Record], keys: Container[str]) -> dict[str, float]:
+def pattern_misfits(
+    records: Iterable[Record], keys: Container[str]
+) -> dict[str, float]:
     """Median misfit, px, of every print among `keys` that was seen."""
     every = dict[str, list[float]]()
     for s in (s for r in records for s in r.detections):

@@ -43,6 +43,8 @@ def follow(
     }
     start = points.astype(np.float32)
     there, seen, _ = cv2.calcOpticalFlowPyrLK(first, second, start, None, **options)  # type: ignore[call-overload]
-    back, seen_back, _ = cv2.calcOpticalFlowPyrLK(second, first, there, None, **options)  # type: ignore[call-overload]
+    back, seen_back, _ = cv2.calcOpticalFlowPyrLK(
+        second, first, there, None, **options
+    )  # type: ignore[call-overload]
     away = np.linalg.norm((back - start).reshape(-1, 2), axis=1)
     return there, np.where((seen > 0).ravel() & (seen_back > 0).ravel(), away, np.inf)

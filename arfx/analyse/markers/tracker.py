@@ -37,7 +37,9 @@ class Track(NamedTuple):
 
     def predicted(self, time_s: float) -> np.ndarray:
         """Its corners at a time; speed is trusted for a tenth of a second only."""
-        return self.quad + self.speed * min(max(time_s - self.time_s, 0.0), _TRUSTED_S)
+        return self.quad + self.speed * min(
+            max(time_s - self.time_s, 0.0), _TRUSTED_S
+        )
 
 
 class Prints(Protocol):

@@ -70,7 +70,9 @@ def with_advection(
                 field = relaxed(_sampled(key, nodes + back, nodes))
                 # carried along with the things, a little of what is seen now each time
                 carried = _sampled(detail, nodes + back - last_back, nodes)
-                seen = _NEW_DETAIL * seen + (1 - _NEW_DETAIL) * np.clip(carried, 0, 255)
+                seen = _NEW_DETAIL * seen + (1 - _NEW_DETAIL) * np.clip(
+                    carried, 0, 255
+                )
             detail, last_back = seen, back
             if back is None or step.key:
                 last_back, key, then = 0.0, field, now

@@ -176,7 +176,9 @@ def _back(
         return None, agreed
     # of what has come into view since, the flow can only guess
     agree &= (to_x > 1) & (to_y > 1) & (to_x < w - 2) & (to_y < h - 2)
-    trust = np.where(agree, slope**2 / (slope**2 + _GRADIENT**2), 0).astype(np.float32)
+    trust = np.where(agree, slope**2 / (slope**2 + _GRADIENT**2), 0).astype(
+        np.float32
+    )
     scale, hats = np.array([width / w, height / h]), _hats(width, height, w, h)
     places = (node_positions(width, height) + 0.5) / scale - 0.5
     rough = _at_nodes(back, trust, hats, places / [w, h])
@@ -187,7 +189,9 @@ def _back(
 
 def _slope(small: np.ndarray) -> np.ndarray:
     """(h, w) grey levels per px."""
-    return np.hypot(*(cv2.Sobel(small, cv2.CV_32F, x, 1 - x, scale=0.25) for x in (1, 0)))
+    return np.hypot(
+        *(cv2.Sobel(small, cv2.CV_32F, x, 1 - x, scale=0.25) for x in (1, 0))
+    )
 
 
 @cache
@@ -196,7 +200,9 @@ def _hats(width: int, height: int, w: int, h: int) -> tuple[np.ndarray, np.ndarr
     the small frame."""
     nodes = node_positions(width, height)
     rows, columns = (
-        np.maximum(1 - np.abs(pixels[:, None] - places) / GRID_PX, 0).astype(np.float32)
+        np.maximum(1 - np.abs(pixels[:, None] - places) / GRID_PX, 0).astype(
+            np.float32
+        )
         for pixels, places in (
             ((np.arange(h) + 0.5) * height / h - 0.5, nodes[:, 0, 1]),
             ((np.arange(w) + 0.5) * width / w - 0.5, nodes[0, :, 0]),
@@ -233,13 +239,18 @@ def _at_nodes(
     y, x = np.mgrid[0:h, 0:w]
     terms = np.stack([np.ones((h, w)), x / w, y / h], -1)
     # a quarter of the pixels is enough for the motion of the whole
-    some, weight = terms[::2, ::2].reshape(-1, 3), trust[::2, ::2].ravel().astype(float)
+    some, weight = (
+        terms[::2, ::2].reshape(-1, 3),
+        trust[::2, ::2].ravel().astype(float),
+    )
     moved, robust, motion = back[::2, ::2].reshape(-1, 2), weight, np.zeros((3, 2))
     # weighted least squares, with what misses it by much counting less; drawn towards no motion
     for _ in range(3):
         normal = (some * robust[:, None]).T @ some + np.diag([1e-3, 1.0, 1.0])
         motion = np.linalg.solve(normal, (some * robust[:, None]).T @ moved)
-        robust = weight / (1 + (np.linalg.norm(moved - some @ motion, axis=1) / 0.5) ** 2)
+        robust = weight / (
+            1 + (np.linalg.norm(moved - some @ motion, axis=1) / 0.5) ** 2
+        )
     rest = (back - terms @ motion) * trust[..., None]
     sums = _around(_node_sums(hats, rest[..., 0], rest[..., 1], trust), _FLOW_NODES)
     sums = _with_neighbours(sums)
@@ -275,7 +286,10 @@ def refined(
     )
     (rows, columns), (h, w) = hats, small.shape
     y, x = np.mgrid[0:h, 0:w].astype(np.float32)
-    to_x, to_y = rows @ np.moveaxis(back.astype(np.float32), -1, 0) @ columns.T + (x, y)
+    to_x, to_y = rows @ np.moveaxis(back.astype(np.float32), -1, 0) @ columns.T + (
+        x,
+        y,
+    )
     gy, gx = np.gradient(now)
     # OpenCV reads at 1/32 px: the slopes make up for the rest of the way
     fine_x, fine_y = (np.round(to * 32) / 32 for to in (to_x, to_y))
@@ -285,7 +299,9 @@ def refined(
     for at, size in ((x, w), (y, h), (to_x, w), (to_y, h)):
         weight[(at < _RIM_PX) | (at >= size - _RIM_PX)] = 0
     wx, wy, we = gx * weight, gy * weight, e * weight
-    sums = _node_sums(hats, wx * gx, wx * gy, wy * gy, wx * e, wy * e, wx, wy, we, weight)
+    sums = _node_sums(
+        hats, wx * gx, wx * gy, wy * gy, wx * e, wy * e, wx, wy, we, weight
+    )
     means = divide(sums[..., 5:8], sums[..., 8:])  # around each node: taken out
     sums = sums[..., :5] - sums[..., [5, 5, 6, 5, 6]] * means[..., [0, 1, 1, 2, 2]]
     sums = _with_neighbours(sums)

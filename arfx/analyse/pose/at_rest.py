@@ -32,7 +32,9 @@ MAX_SAMPLES = (
 )
 POINTS = 40
 LEAST_DEPTH_M = 0.1  # nothing filmed stands closer
-NEAREST = 1 / 3  # of the marker's distance: nothing before that is taken for background
+NEAREST = (
+    1 / 3
+)  # of the marker's distance: nothing before that is taken for background
 # of a point's way by which it may be missed: the patch around it is seen from elsewhere
 DRIFT = 0.02
 # neighbourhood that contrast is compared with, and grey levels of contrast that are noise
@@ -151,7 +153,9 @@ class BackgroundFlow:
 
 
 def decide_static(
-    samples: Sequence[FlowSample], camera_from_world: Mapping[int, Pose], camera: Camera
+    samples: Sequence[FlowSample],
+    camera_from_world: Mapping[int, Pose],
+    camera: Camera,
 ) -> tuple[str, dict[str, float]]:
     """("camera" | "marker" | "both", evidence).
 
@@ -160,7 +164,9 @@ def decide_static(
     marker's world, marker_moves_px.
     Without evidence the answer is "both": nothing is known to stand still."""
     posed = [
-        s for s in samples if {s.index, s.index + s.frames} <= camera_from_world.keys()
+        s
+        for s in samples
+        if {s.index, s.index + s.frames} <= camera_from_world.keys()
     ]
     shares = list[Any]()
     for s in posed:

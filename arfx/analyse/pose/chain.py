@@ -18,7 +18,9 @@ _START = np.diag([1e-2] * 6 + [1e-4] * 6)
 # of the least measurement's information, what the links' rounding may be at most: 1e-16 of
 # theirs for each of a thousand frames
 _DIGITS = 1e-13
-_MOST = 1e12  # no motion is so quick: it is not for its firmness that nothing is found
+_MOST = (
+    1e12  # no motion is so quick: it is not for its firmness that nothing is found
+)
 # share of a shake in which its axes go their own ways: 1e-4 of its size
 _LOOSE = 1e-8
 
@@ -111,7 +113,9 @@ def smooth_chain(chain: Chain, density: np.ndarray) -> Smoothed:
     band.reshape(n, -1)[:, : 2 * DIM**2] = np.triu(rows).reshape(n, -1)
     lower = band.reshape(-1, 2 * DIM + 1).T
     try:
-        factor = cholesky_banded(lower, overwrite_ab=True, lower=True, check_finite=False)
+        factor = cholesky_banded(
+            lower, overwrite_ab=True, lower=True, check_finite=False
+        )
     except np.linalg.LinAlgError:
         if chain.least.max() > _MOST:
             raise

@@ -76,7 +76,9 @@ def pose_checks(
         1.0,
         "check marker size, calibration and lens mode",
     )
-    action = "two planar poses fit almost equally: chosen by the motion of the whole clip"
+    action = (
+        "two planar poses fit almost equally: chosen by the motion of the whole clip"
+    )
     half = sum(summary["markers_seen"].values()) // 2
     yield from at_most(
         "ambiguous sightings", summary["ambiguous_sightings"], half, action

@@ -211,10 +211,14 @@ def _adjust(
         explained = np.einsum("nmai,nma->ni", own, missed).ravel()
         own_blocks = np.einsum("nmai,nmaj->mij", of_map, of_map)
         normal = block_diag(*own_blocks) - shared.T @ shared
-        right = np.einsum("nmai,nma->mi", of_map, missed).ravel() - shared.T @ explained
+        right = (
+            np.einsum("nmai,nma->mi", of_map, missed).ravel() - shared.T @ explained
+        )
         reduced = normal[6:, 6:]  # the first marker is the world: it stays
         step = np.append(np.zeros(6), -np.linalg.solve(reduced, right[6:]))
-        frame_step = -np.linalg.solve(upper, (explained + shared @ step).reshape(n, 6, 1))
+        frame_step = -np.linalg.solve(
+            upper, (explained + shared @ step).reshape(n, 6, 1)
+        )
         map_r, map_t = apply_step(map_r, map_t, step.reshape(m, 6))
         rotation, translation = apply_step(rotation, translation, frame_step[..., 0])
     rms = float(np.sqrt(np.mean(rms_px(r, seen.weight) ** 2)))
@@ -222,7 +226,9 @@ def _adjust(
     moved = lever(map_t[1:])
     covariance = np.linalg.pinv(reduced).reshape(m - 1, 6, m - 1, 6)
     square = np.einsum("iaj,ijik,iak->i", moved, covariance, moved)
-    spread = dict(zip(keys, [0.0, *np.sqrt(np.maximum(square, 0)).tolist()], strict=True))
+    spread = dict(
+        zip(keys, [0.0, *np.sqrt(np.maximum(square, 0)).tolist()], strict=True)
+    )
     poses = {k: Pose(map_r[i], map_t[i]) for i, k in enumerate(keys)}
     return MarkerMap(poses, unmapped, n, rms, spread, condition(reduced))
 

@@ -72,7 +72,9 @@ def move_costs(
     shift, distance = np.linalg.norm(t1 - t0, axis=-1), np.linalg.norm(t1, axis=-1)
     dt = max(dt_s, 0.0)
     a = turn / (TURN_FLOOR_RAD + TURN_RAD_S * dt)
-    b = divide(shift, distance * (SHIFT_FLOOR + SHIFT_FRACTION_S * dt), where_zero=np.inf)
+    b = divide(
+        shift, distance * (SHIFT_FLOOR + SHIFT_FRACTION_S * dt), where_zero=np.inf
+    )
     return np.minimum(0.5 * (a * a + b * b), MOVE_CAP)
 
 
@@ -145,7 +147,9 @@ def world_path(
     return WorldPath(rotation, translation, measured, seen, flips, dropped)
 
 
-def _misses(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> np.ndarray:
+def _misses(
+    rotation: np.ndarray, translation: np.ndarray, seen: Observed
+) -> np.ndarray:
     """(n, markers) by how much each misses the pose, in sizes of the gate; 0 where it is
     not there.
     """

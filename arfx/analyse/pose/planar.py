@@ -81,7 +81,9 @@ def residuals(
     return np.einsum("npij,npj->npi", seen.px_per_ideal, q[..., :2] / z - seen.ideal)
 
 
-def jacobian(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> np.ndarray:
+def jacobian(
+    rotation: np.ndarray, translation: np.ndarray, seen: Observed
+) -> np.ndarray:
     """(n, p, 2, 6) px per left perturbation of the pose."""
     q = _in_camera(rotation, translation, seen)
     z = np.maximum(q[..., 2], EPS_DEPTH_M)
@@ -107,7 +109,10 @@ def huber_cost(r: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def refine_poses(
-    rotation: np.ndarray, translation: np.ndarray, seen: Observed, iterations: int = 12
+    rotation: np.ndarray,
+    translation: np.ndarray,
+    seen: Observed,
+    iterations: int = 12,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Levenberg-Marquardt on every frame separately, Huber loss: (rotation, translation,
     cost (n,)). Many are refined in turns: memory hardly grows with them.
@@ -133,7 +138,9 @@ def refine_poses(
             still = np.abs(cost[at] - now) < _CONVERGED * (1 + cost[at])
             settled[at] = np.where(still, settled[at] + 1, 0)
             better = now < cost[at]
-            damping[at] = np.clip(damping[at] * np.where(better, 0.2, 10.0), 1e-9, 1e6)
+            damping[at] = np.clip(
+                damping[at] * np.where(better, 0.2, 10.0), 1e-9, 1e6
+            )
             taken = at[better]
             rotation[taken], translation[taken] = turned[better], moved[better]
             cost[taken] = now[better]
@@ -207,7 +214,8 @@ def _frontal_poses(
     corners_m : (n, 4, 3);  ideal : (n, 4, 2)
     """
     side, extent = (
-        np.linalg.norm(q - np.roll(q, -1, 1), axis=2).mean(1) for q in (corners_m, ideal)
+        np.linalg.norm(q - np.roll(q, -1, 1), axis=2).mean(1)
+        for q in (corners_m, ideal)
     )
     ray = np.concatenate([ideal.mean(1), np.ones((len(ideal), 1))], 1)
     across = (ideal[:, 1] - ideal[:, 0] + ideal[:, 2] - ideal[:, 3]) / 2
@@ -226,7 +234,9 @@ def _frontal_poses(
 def _in_sight(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
     """(...) In front of the camera, printed side towards it."""
     towards = (rotation[..., 2] * translation).sum(-1)
-    return np.isfinite(translation).all(-1) & (translation[..., 2] > 0) & (towards < 0)
+    return (
+        np.isfinite(translation).all(-1) & (translation[..., 2] > 0) & (towards < 0)
+    )
 
 
 def _mirrored(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
@@ -254,7 +264,9 @@ def planar_poses(
     seen = Observed(np.asarray(corners_m), ideal, px_per_ideal, weight)
     solved = [both_poses(*one) for one in zip(corners_m, ideal, strict=True)]
     owner = np.repeat(np.arange(n), [*map(len, solved)])
-    rotvec, translation = np.concatenate([np.zeros((0, 2, 3)), *solved]).swapaxes(0, 1)
+    rotvec, translation = np.concatenate([np.zeros((0, 2, 3)), *solved]).swapaxes(
+        0, 1
+    )
     rotation = rotation_from_rotvec(rotvec)
     ahead = _in_sight(rotation, translation)
     # IPPE returns rubbish for a marker that faces the camera, or is parallel to the
@@ -285,7 +297,9 @@ def _refined(
     rotation: np.ndarray, translation: np.ndarray, seen: Observed
 ) -> list[np.ndarray]:
     """Rotation, translation and the error in px, infinite for one out of sight."""
-    rotation, translation, _ = refine_poses(rotation, translation, seen, iterations=80)
+    rotation, translation, _ = refine_poses(
+        rotation, translation, seen, iterations=80
+    )
     error = rms_px(residuals(rotation, translation, seen), seen.weight)
     error[~(_in_sight(rotation, translation) & seen.weight.any(1))] = np.inf
     return [rotation, translation, error]

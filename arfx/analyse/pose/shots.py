@@ -24,7 +24,8 @@ _CALM = 0.6
 def thumbnail(luma: np.ndarray) -> np.ndarray:
     """(18, 32) uint8 of luma (h, w) uint8."""
     step = max(
-        1, min(luma.shape[0] // (4 * THUMBNAIL[1]), luma.shape[1] // (4 * THUMBNAIL[0]))
+        1,
+        min(luma.shape[0] // (4 * THUMBNAIL[1]), luma.shape[1] // (4 * THUMBNAIL[0])),
     )
     thin = np.ascontiguousarray(luma[::step, ::step])
     return cv2.resize(thin, THUMBNAIL, interpolation=cv2.INTER_AREA)
@@ -67,7 +68,11 @@ def find_cuts(
         if any(before_last[i] < DISSIMILAR / 2 for i in (k, k + 1) if 2 <= i < n):
             continue
         near, beside = (
-            [before[i] for i in range(max(1, k - reach), min(n, k + reach + 1)) if i != k]
+            [
+                before[i]
+                for i in range(max(1, k - reach), min(n, k + reach + 1))
+                if i != k
+            ]
             for reach in (4, 1)
         )
         if near and before[k] < _STANDS_OUT * float(np.median(near)):

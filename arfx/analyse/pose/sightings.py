@@ -49,7 +49,10 @@ class Sightings:
         sigma = np.hypot(sigma, misplaced)
         kinds = [spec[s.key] for _, s in seen]
         cells = np.array(
-            [cells_per_side(m.family) if isinstance(m, MarkerSpec) else 1 for m in kinds]
+            [
+                cells_per_side(m.family) if isinstance(m, MarkerSpec) else 1
+                for m in kinds
+            ]
         )
         points = np.array([m.corners_m for m in kinds]).reshape(-1, 4, 3)
         ideal = camera.normalised(corners)

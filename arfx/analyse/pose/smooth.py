@@ -136,7 +136,9 @@ def _density_of_shot(chain: Chain) -> np.ndarray:
     def total(trial: np.ndarray) -> float:
         return sum(smooth_chain(b, trial[GROUP]).evidence for b in blocks)
 
-    _, shot = _ascend(total, np.array([1e-3, 1e-3, 1e-3, 1e-3, LEAST]), range(SHAKE), 10)
+    _, shot = _ascend(
+        total, np.array([1e-3, 1e-3, 1e-3, 1e-3, LEAST]), range(SHAKE), 10
+    )
     moving, shot = _ascend(total, shot, range(SHAKE), 10)
     # what was sideways motion is now the shake: from the one peak no single number leads to
     # the other
@@ -192,7 +194,10 @@ def blended(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rotations, translations and covariances of k frames between some (share (k,) 0) and
     others (1): the shortest rotation, and straight lines."""
-    (rotation, translation, covariance), (turned, moved, covariance_after) = before, after
+    (rotation, translation, covariance), (turned, moved, covariance_after) = (
+        before,
+        after,
+    )
     share = share[:, None]
     turn = rotvec_from_rotation(np.swapaxes(rotation, 1, 2) @ turned)
     return (
@@ -295,7 +300,9 @@ class _Path:
         """Median over the frames seen of the largest standard deviation of a turn, radians."""
         seen = self.chain.information[self.chain.information.any((1, 2))]
         scale = 1 / np.sqrt(np.maximum(np.einsum("nii->ni", seen), 1e-30))
-        spread = np.linalg.pinv(scale[:, :, None] * seen * scale[:, None], hermitian=True)
+        spread = np.linalg.pinv(
+            scale[:, :, None] * seen * scale[:, None], hermitian=True
+        )
         variance = np.einsum("nii->ni", spread) * scale**2
         return float(np.sqrt(np.median(variance[:, :3].max(1))))
 
@@ -306,7 +313,9 @@ class _Path:
         r = residuals(self.rotation, self.translation, self.seen)
         cost, _ = huber_cost(r, self.seen.weight)
         _, size = np.linalg.slogdet(self.chain.links[..., 12:])
-        return float(smooth_chain(self.chain, density).evidence + size.sum() - cost.sum())
+        return float(
+            smooth_chain(self.chain, density).evidence + size.sum() - cost.sum()
+        )
 
 
 def _position(
@@ -331,7 +340,10 @@ def _to_left(p: np.ndarray) -> np.ndarray:
 
 
 def _apply_step(
-    rotation: np.ndarray, translation: np.ndarray, step: np.ndarray, centre: np.ndarray
+    rotation: np.ndarray,
+    translation: np.ndarray,
+    step: np.ndarray,
+    centre: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     _, position = _position(rotation, translation, centre)
     position = position + step[:, 3:]

@@ -36,7 +36,9 @@ from arfx.core.marker import Marker, anchor_marker
 from arfx.core.pose import Pose
 from arfx.errors import NothingToDoError
 
-USUAL_PX = 2.0  # of reprojection, at most; of pictures longer than 2000 px a thousandth
+USUAL_PX = (
+    2.0  # of reprojection, at most; of pictures longer than 2000 px a thousandth
+)
 
 
 def solve_poses(
@@ -103,7 +105,9 @@ def solve_poses(
     evidence: dict[str, float] = {}
     if static == "auto":
         poses = {
-            f.index: f.camera_from_world for f in facts if f.camera_from_world is not None
+            f.index: f.camera_from_world
+            for f in facts
+            if f.camera_from_world is not None
         }
         static, evidence = decide_static(flow, poses, camera)
     again = [s.key for r in records for s in r.duplicates]
@@ -183,7 +187,9 @@ def smoothed(
 def _conditions(path: WorldPath) -> np.ndarray:
     """Condition number of every measured pose, each parameter in units of its precision."""
     on = path.measured
-    info = information(path.rotation[on], path.translation[on], path.observed.take(on))
+    info = information(
+        path.rotation[on], path.translation[on], path.observed.take(on)
+    )
     d = np.sqrt(np.maximum(np.einsum("nii->ni", info), 1e-30))
     return np.linalg.cond(info / d[:, :, None] / d[:, None])
 

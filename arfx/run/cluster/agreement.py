@@ -58,7 +58,9 @@ def environment(
     )
     out |= {
         f"{STAGE}{n}": (
-            code_digest.__wrapped__(*STAGES.source(n)) if n in STAGES.plugins else "none"
+            code_digest.__wrapped__(*STAGES.source(n))
+            if n in STAGES.plugins
+            else "none"
         )
         for n in plugins
     }

@@ -55,7 +55,10 @@ class Crew:
             return
         try:
             threads = self._client.nthreads(callback_timeout=SILENT_S)
-        except (OSError, TimeoutError):  # distributed's errors of connections are both
+        except (
+            OSError,
+            TimeoutError,
+        ):  # distributed's errors of connections are both
             raise lost(self._client) from None
         self._looked = time.monotonic()
         self.members = {a: m for a, m in self.members.items() if a in threads}
@@ -72,7 +75,9 @@ class Crew:
         except (
             Exception
         ) as e:  # arfx is not there, or is another, or the worker died over it
-            member.refused = f"it does not answer as arfx does: {type(e).__name__}: {e}"
+            member.refused = (
+                f"it does not answer as arfx does: {type(e).__name__}: {e}"
+            )
         if member.refused:
             self._notice(f"worker {name} gets no work: {member.refused}")
             member.refused = f"{name}: {member.refused}"

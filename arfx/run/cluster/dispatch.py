@@ -63,7 +63,9 @@ class Dispatch:
                 self._check_crew()
                 for future in [f for f in waiting if f.done()]:
                     run = waiting.pop(future)
-                    for task, result in zip(run, self._result(future, run), strict=True):
+                    for task, result in zip(
+                        run, self._result(future, run), strict=True
+                    ):
                         self._await_file(task, result)
                         yield self._done(result)
                 progress(sum([*self._frames.values()]))

@@ -67,7 +67,9 @@ def bundles(
     found = [_bundle("input", "clip", config.input.clip, (), maps)]
     if not rendering:
         return tuple(found)
-    found.append(_bundle("model", "file", config.model.file, inputs.model.files, maps))
+    found.append(
+        _bundle("model", "file", config.model.file, inputs.model.files, maps)
+    )
     if inputs.depth is not None and config.input.depth is not None:
         found.append(
             _bundle("input", "depth", config.input.depth, inputs.depth.files, maps)
@@ -96,7 +98,9 @@ def _bundle(
         content = "" if folder else file_digest(file, with_time=False)
         parts.append(
             Part(
-                Path(os.path.relpath(file, root)).as_posix(), file.stat().st_size, content
+                Path(os.path.relpath(file, root)).as_posix(),
+                file.stat().st_size,
+                content,
             )
         )
     return Bundle(section, key, places(path, maps), folder, tuple(parts))
@@ -106,7 +110,9 @@ def find(bundle: Bundle) -> Path:
     """Its path here. Raises RenderError that says of every place why it is not there."""
     reasons = []
     for place in bundle.places:
-        reason = _fetch(bundle, place) if is_url(place) else _differs(bundle, Path(place))
+        reason = (
+            _fetch(bundle, place) if is_url(place) else _differs(bundle, Path(place))
+        )
         if isinstance(reason, Path):
             return reason
         if reason is None:
@@ -120,7 +126,11 @@ def find(bundle: Bundle) -> Path:
 def _differs(bundle: Bundle, path: Path) -> str | None:
     """Why the bundle is not at `path`; None where it is."""
     for part in bundle.parts:
-        file = (path if bundle.folder else path.parent) / part.name if part.name else path
+        file = (
+            (path if bundle.folder else path.parent) / part.name
+            if part.name
+            else path
+        )
         try:
             if file.stat().st_size != part.size:
                 return f"{file} has another size"
@@ -187,6 +197,6 @@ def file_system(url: str) -> tuple[Any, str]:
 
 def said(e: BaseException) -> str:
     """An error of fsspec in a line."""
-    return (getattr(e, "strerror", None) or str(e) or type(e).__name__).splitlines()[0][
-        :300
-    ]
+    return (getattr(e, "strerror", None) or str(e) or type(e).__name__).splitlines()[
+        0
+    ][:300]

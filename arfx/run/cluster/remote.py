@@ -19,7 +19,13 @@ from typing import Any
 from arfx.core.parallel import ONE_THREAD
 from arfx.errors import ArfxError, RenderError
 from arfx.media.writer import remove_output
-from arfx.run.cluster.agreement import OPENGL, PROCESSOR, STAGE, differences, environment
+from arfx.run.cluster.agreement import (
+    OPENGL,
+    PROCESSOR,
+    STAGE,
+    differences,
+    environment,
+)
 from arfx.run.cluster.files import Bundle, find
 from arfx.run.cluster.paths import is_url
 from arfx.run.cluster.store import Store
@@ -76,7 +82,9 @@ def examine(here: Mapping[str, str], job: JobReference | None) -> tuple[str, str
     cv2.setNumThreads(1)
     for variable, one in ONE_THREAD.items():
         os.environ.setdefault(variable, one)
-    plugins = tuple(name.removeprefix(STAGE) for name in here if name.startswith(STAGE))
+    plugins = tuple(
+        name.removeprefix(STAGE) for name in here if name.startswith(STAGE)
+    )
     there = environment(plugins, PROCESSOR in here, OPENGL in here)
     refused = ", ".join(differences(here, there))
     worker = _worker()
@@ -161,11 +169,19 @@ def _work(placed: _Placed, first: int, last: int, name: str) -> dict[str, Any]:
         made = target if target.exists() else None
     else:
         made = find_chunk(folder.chunks, name, job.suffix)
-    if made is not None and placed.store is None:  # by a worker that was lost after that
+    if (
+        made is not None and placed.store is None
+    ):  # by a worker that was lost after that
         return {"file": made.name, "first": first, "last": last}
     try:
         result = do(
-            str(folder.path), job.key, first, last, str(target), tick, paths=placed.paths
+            str(folder.path),
+            job.key,
+            first,
+            last,
+            str(target),
+            tick,
+            paths=placed.paths,
         )
         if placed.store is not None:
             _hand_over(placed.store, folder, target.with_name(result["file"]), result)

@@ -70,7 +70,9 @@ class Cluster:
         with self._dispatch(job.inputs, job.folder, job.key, suffix) as dispatch:
             yield from dispatch.results(tasks, progress, self.workers)
 
-    def analysing(self, inputs: Inputs, folder: JobFolder, key: str, here: Run) -> Run:
+    def analysing(
+        self, inputs: Inputs, folder: JobFolder, key: str, here: Run
+    ) -> Run:
         """Has the stretches of a job analysed.
 
         Workers with another processor may not: with one that libraries choose other code
@@ -108,14 +110,20 @@ class Cluster:
             suffix is not None,
         )
         store = next(
-            (Store(f"{there.rstrip('/')}/{key}") for there in folders if is_url(there)),
+            (
+                Store(f"{there.rstrip('/')}/{key}")
+                for there in folders
+                if is_url(there)
+            ),
             None,
         )
         if store is not None:
             store.put_job(folder, rendering)
             seen.append(store.url)
         files = bundles(inputs, self._maps, rendering)
-        job = JobReference(f"arfx-{uuid.uuid4().hex}", key, suffix, tuple(seen), files)
+        job = JobReference(
+            f"arfx-{uuid.uuid4().hex}", key, suffix, tuple(seen), files
+        )
         plugins = [name for name in pipeline(inputs.config) if name in STAGES.plugins]
         notice = self._notice if rendering else lambda _: None
         here = environment(plugins, not rendering)

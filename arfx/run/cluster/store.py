@@ -41,7 +41,9 @@ class Store:
             fs, root = file_system(self.url)
             for file in sorted(path.iterdir()) if path.is_dir() else [path]:
                 target = (
-                    f"{root}/{name}/{file.name}" if path.is_dir() else f"{root}/{name}"
+                    f"{root}/{name}/{file.name}"
+                    if path.is_dir()
+                    else f"{root}/{name}"
                 )
                 fs.makedirs(target.rpartition("/")[0], exist_ok=True)
                 fs.put_file(str(file), target)

@@ -25,9 +25,7 @@ LEVELS = {
     "standard": Accuracy(ratio=1.3, step_px=0.5, fine_px=2.2, cells=5.4),
 }
 _SHARP_PX2 = np.float32(SHARP_PX**2)
-_WHITE_FROM = (
-    0.9  # linear light; a pixel is clipped to the degree that it lies between this and 1
-)
+_WHITE_FROM = 0.9  # linear light; a pixel is clipped to the degree that it lies between this and 1
 
 
 def blurred(
@@ -71,7 +69,9 @@ def _boosted(light: np.ndarray, boost: float) -> np.ndarray:
     """Clipped pixels brighter. light : (h, w, 4)"""
     if boost <= 0:
         return light
-    clipped = np.clip((light[..., :3].max(-1) - _WHITE_FROM) / (1 - _WHITE_FROM), 0, 1)
+    clipped = np.clip(
+        (light[..., :3].max(-1) - _WHITE_FROM) / (1 - _WHITE_FROM), 0, 1
+    )
     factor = 1 + np.float32(boost) * clipped
     return np.dstack([light[..., :3] * factor[..., None], light[..., 3]])
 
@@ -89,7 +89,9 @@ def lay_over(
     for y in range(out.shape[0]):
         for x in range(out.shape[1]):
             # fraction of a pixel's light that is not spread
-            share = (sharp_px2 - radius[y, x] * radius[y, x]) / (sharp_px2 - _SHARP_PX2)
+            share = (sharp_px2 - radius[y, x] * radius[y, x]) / (
+                sharp_px2 - _SHARP_PX2
+            )
             share = min(max(share, zero), one)
             weight = spread[y, x, 3] + share * light[y, x, 3]
             if weight > zero:

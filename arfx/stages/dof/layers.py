@@ -103,7 +103,11 @@ def behind_object(now: Layers, facts: FrameFacts) -> np.ndarray:
 
 
 def _planes(
-    rect: Rect, behind: np.ndarray, real: Real, grid: np.ndarray, coc: CircleOfConfusion
+    rect: Rect,
+    behind: np.ndarray,
+    real: Real,
+    grid: np.ndarray,
+    coc: CircleOfConfusion,
 ) -> list[LightLayer]:
     """The endless plane, and planes of limited size before it."""
     visible, fronts = np.ones((rect.height, rect.width), np.float32), []
@@ -134,7 +138,9 @@ def _object(
     """Light and radius of the virtual object; sharp where its depth is not a distance."""
     depth, (near, far) = now[Layer.DEPTH], depth_range(facts)
     known = depth > 0
-    dioptre = 1 / np.clip(np.where(known, depth, near), np.float32(near), np.float32(far))
+    dioptre = 1 / np.clip(
+        np.where(known, depth, near), np.float32(near), np.float32(far)
+    )
     radius = np.where(known, coc.radius_px(dioptre), np.float32(0))
     light = cv2.cvtColor(now[Layer.VIRTUAL], cv2.COLOR_RGB2RGBA)
     coverage = np.fmax(now[Layer.COVERAGE], np.float32(0))  # not a number is none
@@ -144,7 +150,9 @@ def _object(
     return light, radius
 
 
-def _occluder(area: Rect, box: Rect, light: np.ndarray, radius: np.ndarray) -> LightLayer:
+def _occluder(
+    area: Rect, box: Rect, light: np.ndarray, radius: np.ndarray
+) -> LightLayer:
     """A layer over as much of `area` as it and its blur take. light, radius : over `box`"""
     covered = box_of(light[..., 3])
     light, radius = light[covered.slices], radius[covered.slices]
@@ -164,7 +172,9 @@ def _occluder(area: Rect, box: Rect, light: np.ndarray, radius: np.ndarray) -> L
     return LightLayer(rect, cv2.merge(list(padded)), around)
 
 
-def _radius_around(rect: Rect, coverage: np.ndarray, radius: np.ndarray) -> np.ndarray:
+def _radius_around(
+    rect: Rect, coverage: np.ndarray, radius: np.ndarray
+) -> np.ndarray:
     """(h, w) px: the mean radius of the nearest tile that anything covers, linear between tiles.
 
     Tiles lie on the frame's grid, so a pixel gets the same from any rectangle that holds what is

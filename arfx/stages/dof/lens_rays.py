@@ -121,7 +121,10 @@ class LensView:
         """`seen` of the n pixels of a rectangle, (n, 1) and (n, 3). points : (k, 4) of
         `lens_points`, the lens in metres"""
         behind = self.behind[part.slices_in(self.now.rect)].reshape(-1, 3)
-        rows, columns = np.arange(part.y0, part.y1 + 1), np.arange(part.x0, part.x1 + 1)
+        rows, columns = (
+            np.arange(part.y0, part.y1 + 1),
+            np.arange(part.x0, part.x1 + 1),
+        )
         corners = self.scene.directions.at(rows - 0.5, columns - 0.5).astype(float)
         beside = corners[:-1] + corners[1:]
         active = np.flatnonzero(np.isfinite(beside[:, :-1] + beside[:, 1:]).all(-1))
@@ -161,7 +164,10 @@ class LensView:
         # directions have z = 1: distance along the axis
         z = np.asarray(hit["tfar"], float)[met]
         world = origins[met] + z[:, None] * directions[met] - eye
-        place = self.camera.project(world @ pose.rotation.T) - [now.rect.x0, now.rect.y0]
+        place = self.camera.project(world @ pose.rotation.T) - [
+            now.rect.x0,
+            now.rect.y0,
+        ]
         picture = tuple(
             packed(now[name]) for name in (Layer.VIRTUAL, Layer.COVERAGE, Layer.DEPTH)
         )
@@ -182,13 +188,17 @@ class LensView:
         """Colours (k, n, 3) of the real scene that rays (k, n, 3), in the camera's axes, would
         meet."""
         form, lens = real.base.forms[2], points[:, :2]
-        dioptre = np.maximum(divide(rays @ form, 1 - lens @ form[:2]), real.background)
+        dioptre = np.maximum(
+            divide(rays @ form, 1 - lens @ form[:2]), real.background
+        )
         seen = rays + dioptre[..., None] * np.pad(lens, ((0, 0), (0, 1)))
         corner = np.array([self.now.rect.x0, self.now.rect.y0])
         place = self.camera.project(seen) - corner - (points[:, 2:] - 0.5)
         h, w = self.sharp.shape[:2]
         nearest = np.rint(np.where(np.isfinite(place), place, 0.0)).astype(int)
-        return self.sharp[nearest[..., 1].clip(0, h - 1), nearest[..., 0].clip(0, w - 1)]
+        return self.sharp[
+            nearest[..., 1].clip(0, h - 1), nearest[..., 0].clip(0, w - 1)
+        ]
 
 
 def _aim(
@@ -233,7 +243,11 @@ def _look_up(sums, pixel, place, z, within, picture):  # pragma: no cover - comp
             x = int(np.rint(u - shift * (within[i, 0] - 0.5)))
             y = int(np.rint(v - shift * (within[i, 1] - 0.5)))
             inside = 0 <= x < w and 0 <= y < h
-            if inside and coverage[y, x] > 0 and abs(depth[y, x] - z[i]) < 0.02 * z[i]:
+            if (
+                inside
+                and coverage[y, x] > 0
+                and abs(depth[y, x] - z[i]) < 0.02 * z[i]
+            ):
                 to[1] += 1
                 for c in range(3):
                     value = virtual[y, x, c] / coverage[y, x]

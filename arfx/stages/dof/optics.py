@@ -88,7 +88,9 @@ def circle_of_confusion(
             fnumber,
             1e3 / focus if focus > 0 else math.inf,
         )
-        px_per_dioptre = 0.5e-3 * lens.coc_mm_per_dioptre * width / params.sensor_width_mm
+        px_per_dioptre = (
+            0.5e-3 * lens.coc_mm_per_dioptre * width / params.sensor_width_mm
+        )
     return CircleOfConfusion(px_per_dioptre * fade, focus, limit, mm_per_px)
 
 

@@ -100,7 +100,10 @@ def _planes(
     for plane, seen in reversed(fronts):
         circles = _circles(np.maximum(directions @ plane.forms[2], 0), coc)
         front = _normal(_scattered(behind, seen, *circles, params), behind)
-        out = out + (front - out) * _met(plane, directions, lens_m, coc.focus)[..., None]
+        out = (
+            out
+            + (front - out) * _met(plane, directions, lens_m, coc.focus)[..., None]
+        )
     return out
 
 
@@ -166,7 +169,8 @@ def _scattered(
     """(h, w, 4) sums of light and weight. radius, slope : of `_circles`"""
     boost = 1 + params.highlight_boost * np.clip((colour.max(-1) - 0.9) / 0.1, 0, 1)
     light = (
-        np.dstack([colour * boost[..., None], np.ones_like(weight)]) * weight[..., None]
+        np.dstack([colour * boost[..., None], np.ones_like(weight)])
+        * weight[..., None]
     )
     steps = np.round(np.sqrt(radius, dtype=float) * _SIZES).astype(np.int64)
     sizes, which = np.unique(steps, return_inverse=True)
@@ -191,7 +195,9 @@ def _disc_ends(radius: float, blades: int, turn_deg: float) -> np.ndarray:
     area = disc(radius, blades, turn_deg).astype(float)
     half = len(area) // 2
     px = np.arange(-half, half + 1.0)
-    ends = [np.diff(np.pad(a, ((0, 0), (2, 2))), 2, axis=1) for a in (area, area * px)]
+    ends = [
+        np.diff(np.pad(a, ((0, 0), (2, 2))), 2, axis=1) for a in (area, area * px)
+    ]
     j, i = np.nonzero((ends[0] != 0) | (np.abs(ends[1]) > 1e-15))
     return np.column_stack([px[j], i - half, ends[0][j, i], ends[1][j, i]])
 

@@ -125,7 +125,9 @@ def _spread(
     return begin, cv2.filter2D(share, -1, turned, borderType=cv2.BORDER_CONSTANT)
 
 
-def _padded(a: np.ndarray, above: int, below: int, left: int, right: int) -> np.ndarray:
+def _padded(
+    a: np.ndarray, above: int, below: int, left: int, right: int
+) -> np.ndarray:
     """Light (h, w, c) with nothing around it, or radii (h, w) with those of the border."""
     if not (above or below or left or right):
         return a
@@ -145,7 +147,9 @@ def _doubled(a: np.ndarray) -> np.ndarray:
     return cv2.resize(a, size, interpolation=cv2.INTER_LINEAR)
 
 
-def cell_disc(radius_px: float, level: int, blades: int, turn_deg: float) -> np.ndarray:
+def cell_disc(
+    radius_px: float, level: int, blades: int, turn_deg: float
+) -> np.ndarray:
     """The disc on cells of 2^level px that is as wide, after all else that blurs, as this one on
     pixels.
 

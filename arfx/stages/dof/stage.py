@@ -29,8 +29,17 @@ from arfx.core.scene import Scene
 from arfx.core.stage import Check, Demand, JobView, Stage, View
 from arfx.stages.dof.aperture import SHARP_PX
 from arfx.stages.dof.blur import LEVELS, blurred
-from arfx.stages.dof.layers import box_of, layers_of_light, object_box, object_radius_px
-from arfx.stages.dof.optics import CircleOfConfusion, circle_of_confusion, unknown_lens
+from arfx.stages.dof.layers import (
+    box_of,
+    layers_of_light,
+    object_box,
+    object_radius_px,
+)
+from arfx.stages.dof.optics import (
+    CircleOfConfusion,
+    circle_of_confusion,
+    unknown_lens,
+)
 from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.planes import Real, direction_grid, real_scene
 from arfx.stages.viewing import GRID_PX
@@ -71,7 +80,9 @@ class Dof(Stage):
         coc, real = self._frame(facts, scene)
         need, frame = out, scene.camera.rect
         if self.params.scope == "all" and real.tiles is not None:
-            return frame  # what is hidden is filled in from wherever something is known
+            return (
+                frame  # what is hidden is filled in from wherever something is known
+            )
         on_object, on_real = self._radii_px(facts, scene, coc, real)
         if on_real > SHARP_PX:
             need = out.pad((3 if real.finite_planes else 1) * _margin_px(on_real))
@@ -134,7 +145,9 @@ class Dof(Stage):
         rows = Rect(now.rect.x0, view.out.y0, now.rect.x1, view.out.y1)
         return {Layer.IMAGE: Pixels(rows, image).clip(view.out)}
 
-    def _frame(self, facts: FrameFacts, scene: Scene) -> tuple[CircleOfConfusion, Real]:
+    def _frame(
+        self, facts: FrameFacts, scene: Scene
+    ) -> tuple[CircleOfConfusion, Real]:
         """The lens, and where the real scene stands."""
         real = real_scene(scene, facts.pose, self.params.background_m)
         if facts.real_depth is not None:
@@ -153,7 +166,9 @@ def blurred_rect(real: Real, grid: np.ndarray, coc: CircleOfConfusion) -> Rect:
         for plane in real.finite_planes:
             positions = plane.positions(grid)
             own = coc.radius_px(np.maximum(positions[..., 2], 0))
-            radius = np.maximum(radius, np.where(plane.within(positions, 4.0), own, 0))
+            radius = np.maximum(
+                radius, np.where(plane.within(positions, 4.0), own, 0)
+            )
     box = box_of(radius > SHARP_PX)
     whole = Rect(*(side * v for v in (box.x0, box.y0, box.x1, box.y1)))
     return whole.pad(int(np.ceil(float(radius.max()))) + 1 + node)

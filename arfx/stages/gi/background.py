@@ -140,7 +140,9 @@ def _plane_radiance(texture, mips, a, b, footprint):  # pragma: no cover - compi
     last = np.float32(mips.shape[0] - 1)
     # beyond the texture the plane looks as its outer parts do on average: not as near the
     # object, with its shadow
-    outer = max(last - _OUTER, zero) * min(max((far - one) * np.float32(2), zero), one)
+    outer = max(last - _OUTER, zero) * min(
+        max((far - one) * np.float32(2), zero), one
+    )
     level = min(max(np.log2(max(texels, one)), outer), last)
     first = int(level)
     u = min(max(WARP * a / (one + (WARP - one) * abs(a)), -one), one)

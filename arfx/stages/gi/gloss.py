@@ -55,7 +55,10 @@ def widened_roughness(
     """
     most = np.zeros(coverage.shape, np.float32)
     for axis in (0, 1):
-        covered, largest = np.moveaxis(coverage, axis, 0) > 0, np.moveaxis(most, axis, 0)
+        covered, largest = (
+            np.moveaxis(coverage, axis, 0) > 0,
+            np.moveaxis(most, axis, 0),
+        )
         apart = (np.diff(np.moveaxis(normal, axis, 0), axis=0) ** 2).sum(-1)
         apart *= covered[:-1] & covered[1:] & (apart < _BEND * _BEND)
         for either in (largest[:-1], largest[1:]):

@@ -60,7 +60,10 @@ def seam_ratio(faces: np.ndarray) -> float:
 
     Flat maps have neither: steps below a thousandth of the mean count as that."""
     n = faces.shape[1]
-    flat, values = face_directions(n).reshape(-1, 3), faces.reshape(-1, faces.shape[-1])
+    flat, values = (
+        face_directions(n).reshape(-1, 3),
+        faces.reshape(-1, faces.shape[-1]),
+    )
     border = np.ones((6, n, n), bool)
     border[:, 1:-1, 1:-1] = n < 3
     own, face = np.flatnonzero(border), np.arange(len(flat)) // n**2
@@ -96,7 +99,9 @@ def furnace_mean(job: JobView, level: str) -> float | None:
     )
     model = replace(
         scene.model,
-        parts=tuple(replace(p, material=white, colours=None) for p in scene.model.parts),
+        parts=tuple(
+            replace(p, material=white, colours=None) for p in scene.model.parts
+        ),
     )
     even = Light((1.0, 1.0, 1.0), ())
     camera = Camera.guess(*SIZE, _VIEW_DEG)

@@ -59,7 +59,9 @@ class IncomingLight:
         left (p, n, n, 3) : of `Indirect`
         """
         size = left.shape[1:3]
-        seen = [cv2.resize(p, size, interpolation=cv2.INTER_AREA) for p in self.picture]
+        seen = [
+            cv2.resize(p, size, interpolation=cv2.INTER_AREA) for p in self.picture
+        ]
         return np.asarray(((np.stack(seen) - mean) * left).reshape(-1, 3))
 
     def background(self, left: np.ndarray) -> Background:
@@ -105,7 +107,9 @@ def incoming_light(
     environment = frame_environment(facts, scene, light)
     cube_from_anchor = (environment.turn @ turn).astype(np.float32)
     environment = environment._replace(turn=cube_from_anchor)
-    return IncomingLight(planes, shown, filled(picture, known, mean), mean, environment)
+    return IncomingLight(
+        planes, shown, filled(picture, known, mean), mean, environment
+    )
 
 
 def sky_radiance(facts: FrameFacts, scene: Scene, light: Light) -> np.ndarray:
@@ -114,7 +118,9 @@ def sky_radiance(facts: FrameFacts, scene: Scene, light: Light) -> np.ndarray:
     """
     around = frame_surroundings(facts, scene, light)
     cube = around.cube(around.wide).astype(np.float32)
-    coarse = [cv2.resize(face, (SKY, SKY), interpolation=cv2.INTER_AREA) for face in cube]
+    coarse = [
+        cv2.resize(face, (SKY, SKY), interpolation=cv2.INTER_AREA) for face in cube
+    ]
     cube_from_anchor = around.axes @ scene.world_from_anchor.rotation
     return look_up(
         np.stack(coarse), face_directions(SKY).reshape(-1, 3) @ cube_from_anchor.T
@@ -166,7 +172,9 @@ def light_in_steps(light: Light) -> Light:
 
 def _axes_in_steps(found: SeenEnvironment | CubeMap) -> tuple[float, ...] | None:
     return (
-        None if found.axes is None else tuple(_nearest(found.axes, _AXES_STEP).tolist())
+        None
+        if found.axes is None
+        else tuple(_nearest(found.axes, _AXES_STEP).tolist())
     )
 
 
@@ -177,7 +185,9 @@ def _nearest(values: ArrayLike, step: float) -> np.ndarray:
 def _powers(values: ArrayLike, step: float) -> np.ndarray:
     """The nearest power of e^step; 0 up to 1e-6."""
     a = np.asarray(values, float)
-    return np.where(a > 1e-6, np.exp(_nearest(np.log(np.maximum(a, 1e-6)), step)), 0.0)
+    return np.where(
+        a > 1e-6, np.exp(_nearest(np.log(np.maximum(a, 1e-6)), step)), 0.0
+    )
 
 
 def _plane_mean(

@@ -143,7 +143,9 @@ def shown_planes(
     if len(planes.axes) == 1 and not real.size:
         return [None]
     poses = [plane_pose(axes) @ anchor_from_camera for axes in planes.axes]
-    dioptres = np.stack([plane_dioptres(grid, p.inverse(), layers.rect) for p in poses])
+    dioptres = np.stack(
+        [plane_dioptres(grid, p.inverse(), layers.rect) for p in poses]
+    )
     dioptres[[pose.translation_m[2] <= 0 for pose in poses]] = -1
     nearest = dioptres.argmax(0)
     agree = np.ones_like(dioptres)
@@ -154,7 +156,8 @@ def shown_planes(
         agree = np.stack([on_plane(real, d, SAME_DEPTH) for d in dioptres])
     shown = [(nearest == k) & (dioptres[k] > 0) for k in range(len(poses))]
     return [
-        np.where(s, a, 0).astype(np.float32) for s, a in zip(shown, agree, strict=True)
+        np.where(s, a, 0).astype(np.float32)
+        for s, a in zip(shown, agree, strict=True)
     ]
 
 

@@ -68,7 +68,10 @@ def trace_frame(
     around = Surroundings(incoming, Environment(known.cubes(), cube_from_anchor))
     tracer = Tracer(rays, around, view.light, scene)
     anchor_from_camera = (view.pose @ scene.world_from_anchor).inverse()
-    everywhere, grid = np.ones((rect.height, rect.width)), direction_grid(scene.camera)
+    everywhere, grid = (
+        np.ones((rect.height, rect.width)),
+        direction_grid(scene.camera),
+    )
     shares = shown_planes(view.layers, grid, anchor_from_camera, planes)
     shown = np.stack([everywhere if share is None else share for share in shares])
     pixels = Pixels(view, anchor_from_camera, tracer, shown, sobol(samples))
@@ -117,7 +120,9 @@ def object_mask(view: View, part: Rect) -> np.ndarray:
     return mask_of(view.rect, part) & (view[Layer.COVERAGE] > 0) & (lengths > 1e-3)
 
 
-def object_points(view: View, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def object_points(
+    view: View, rows: Rows
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(n, 3) each, anchor axes: position, metres, unit normal, and unit direction to the camera of
     what pixels show of the object."""
     anchor = view.scene.world_from_anchor.inverse()
@@ -151,7 +156,11 @@ class Pixels:
         return self._mean(draw, rows) * coverage[:, None]
 
     def plane_change(
-        self, rows: Rows, matt: np.ndarray, shiny: np.ndarray, gloss: tuple[float, float]
+        self,
+        rows: Rows,
+        matt: np.ndarray,
+        shiny: np.ndarray,
+        gloss: tuple[float, float],
     ) -> np.ndarray:
         """(n, 3) change of the planes' light by the object, as a share of it.
 
@@ -198,8 +207,12 @@ class Pixels:
     ) -> np.ndarray:
         """(n, 3) what the planes' mirror image of the object changes, as a share of the picture."""
         black = np.zeros_like(start)
-        f0, roughness = np.broadcast_to(np.reshape(gloss, (2, 1, 1)), (2, len(start), 1))
-        lobes = MaterialLobes(normals, -directions, black, black[:, :1], f0, roughness)
+        f0, roughness = np.broadcast_to(
+            np.reshape(gloss, (2, 1, 1)), (2, len(start), 1)
+        )
+        lobes = MaterialLobes(
+            normals, -directions, black, black[:, :1], f0, roughness
+        )
         draw = partial(self.tracer.light, start, lobes, True)
         plate = self.view[Layer.PLATE][rows] - np.array(self.view.facts.bias_rgb)
         plate = np.maximum(plate, DARKEST)

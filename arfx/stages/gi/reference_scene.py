@@ -78,11 +78,15 @@ class RayScene:
         """What each ray meets first. directions : of any length, by which distances count"""
         hits = self._triangles.first_hits(origins, directions)
         triangle = np.asarray(hits["primID"]).astype(np.int64)
-        distance, u, v = (np.asarray(hits[name], float) for name in ("tfar", "u", "v"))
+        distance, u, v = (
+            np.asarray(hits[name], float) for name in ("tfar", "u", "v")
+        )
         distance = np.where(triangle >= 0, distance, np.inf)
         return Met(distance, triangle, u, v)
 
-    def surface(self, met: Met, origins: np.ndarray, directions: np.ndarray) -> Surface:
+    def surface(
+        self, met: Met, origins: np.ndarray, directions: np.ndarray
+    ) -> Surface:
         """Where rays met something; every ray has to."""
         position = origins + met.distance[:, None] * directions
         weights = np.stack([1 - met.u - met.v, met.u, met.v], -1)
@@ -122,7 +126,9 @@ class Surroundings:
             t = np.where(falls > 1e-9, divide(height, falls), 0)
             met = start + t[:, None] * directions
             u, v = met @ x, met @ y
-            within = (x0 < u) & (u < x1) & (y0 < v) & (v < y1) & (t > 0) & (t < nearest)
+            within = (
+                (x0 < u) & (u < x1) & (y0 < v) & (v < y1) & (t > 0) & (t < nearest)
+            )
             plane[within], nearest[within] = k, t[within]
         return plane, nearest
 

@@ -25,7 +25,9 @@ class Environment:
     turn (3, 3) : to the cubes' axes from the anchor's;  bright : whether its brightest parts need
     samples of their own"""
 
-    def __init__(self, cubes: tuple[np.ndarray, np.ndarray], turn: np.ndarray) -> None:
+    def __init__(
+        self, cubes: tuple[np.ndarray, np.ndarray], turn: np.ndarray
+    ) -> None:
         from scipy.ndimage import maximum_filter
 
         self._narrow, self._broad = (np.asarray(cube, float) for cube in cubes)

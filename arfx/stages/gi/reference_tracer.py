@@ -116,7 +116,9 @@ class Tracer:
         going_on = of_object, self._from_plane(*on_plane, out)
         return Rays(*map(np.concatenate, zip(*going_on, strict=True)))
 
-    def _behind(self, rays: Rays, plane: np.ndarray, plane_m: np.ndarray) -> np.ndarray:
+    def _behind(
+        self, rays: Rays, plane: np.ndarray, plane_m: np.ndarray
+    ) -> np.ndarray:
         """(n, 3) radiance that is there without the object, but for what is sampled."""
         ends = rays.start, rays.direction, plane, plane_m
         return self.around.radiance(*ends, rays.wide, rays.sky)

@@ -68,7 +68,9 @@ class Sight:
         sent = self._at(self.sent, places, normals)
         metal = np.flatnonzero(rays.metallic[face] > _METAL)
         if turns > 0 and len(metal):
-            towards = directions[met][metal] + 2 * np.abs(along[metal]) * normals[metal]
+            towards = (
+                directions[met][metal] + 2 * np.abs(along[metal]) * normals[metal]
+            )
             starts = places[metal] + rays.lift_m * normals[metal]
             rough = np.full(len(metal), _METAL_ROUGHNESS)
             seen = behind_object(self.background, starts, towards, rough)
@@ -85,10 +87,14 @@ class Sight:
         covered = np.ones((1, len(places)), np.float32)
         row = normals[None].astype(np.float32), places[None].astype(np.float32)
         grid = self.transport.grid
-        return np.asarray(grid.read(nodes, covered, row[0], row[1], Pose.identity())[0])
+        return np.asarray(
+            grid.read(nodes, covered, row[0], row[1], Pose.identity())[0]
+        )
 
 
-def reflected_light(surface: Surface, received: np.ndarray, sight: Sight) -> np.ndarray:
+def reflected_light(
+    surface: Surface, received: np.ndarray, sight: Sight
+) -> np.ndarray:
     """(h, w, 3) float32 that the surface sends to the camera, premultiplied by coverage.
 
     received (h, w, 3) : radiance of a white surface from all but the lamps. Where too

@@ -145,7 +145,9 @@ class LitScene:
         """In a light so many times (3,) as bright."""
         names = "received", "sent", "mean", "sky"
         kept = {name: getattr(self, name) for name in names}
-        return replace(self, **{k: a * times.astype(a.dtype) for k, a in kept.items()})
+        return replace(
+            self, **{k: a * times.astype(a.dtype) for k, a in kept.items()}
+        )
 
 
 class Gi(Stage):
@@ -192,7 +194,9 @@ class Gi(Stage):
             middle, half = planes.axes[0, 0, :2].astype(float), planes.half_m
             box = middle - half, middle + half
             soft = soft_pictures(region.caster, *box, PLANE_LEVELS["standard"])
-            return Transport(scene, planes, region.rays, LEVELS[level].transport), soft
+            return Transport(
+                scene, planes, region.rays, LEVELS[level].transport
+            ), soft
 
         key = (scene.placed_by, *planes.key, level)
         transport, soft = memo_of(scene.model).get(
@@ -234,7 +238,9 @@ class Gi(Stage):
         shadow = self._shadow(view, prepared, lit, sight, disc, mirror)
         return {Layer.VIRTUAL: virtual, Layer.SHADOW: shadow}
 
-    def _lit(self, view: View, prepared: Prepared, incoming: IncomingLight) -> LitScene:
+    def _lit(
+        self, view: View, prepared: Prepared, incoming: IncomingLight
+    ) -> LitScene:
         """Kept by light, environment and mean of the planes in steps; the light's colour and
         brightness are those of the frame."""
         scene = view.scene
@@ -253,10 +259,14 @@ class Gi(Stage):
             sky = sky_radiance(known, scene, light)
             picture = np.broadcast_to(mean, transport.texels.shape)
             indirect = transport.solve(scene, light, picture, sky)
-            changes = change_textures(indirect, transport.hidden, planes, prepared.soft)
+            changes = change_textures(
+                indirect, transport.hidden, planes, prepared.soft
+            )
             positions = transport.texels.reshape(*transport.hidden.shape, 3)
             radius_m = visible_radius_m(indirect, planes, positions)
-            received, sent = map(transport.grid.nodes, (indirect.received, indirect.sent))
+            received, sent = map(
+                transport.grid.nodes, (indirect.received, indirect.sent)
+            )
             of_planes = indirect.left, changes, radius_m
             return LitScene(*of_planes, received, sent, mean, sky)
 
@@ -319,11 +329,18 @@ class Gi(Stage):
             )
         mirror = mirror.clip(part)
         if not mirror.empty:
-            self._mirror(shadow[mirror.slices_in(part)], view, prepared, sight, mirror)
+            self._mirror(
+                shadow[mirror.slices_in(part)], view, prepared, sight, mirror
+            )
         return Pixels(part, shadow)
 
     def _mirror(
-        self, shadow: np.ndarray, view: View, prepared: Prepared, sight: Sight, rect: Rect
+        self,
+        shadow: np.ndarray,
+        view: View,
+        prepared: Prepared,
+        sight: Sight,
+        rect: Rect,
     ) -> None:
         """The planes' mirror image of the object, less what it hides of theirs, as a share
         of the pixel.
@@ -351,7 +368,9 @@ class Gi(Stage):
             behind = behind_object(sight.background, places[met], towards[met], rough)
             at = rows[0][met], rows[1][met]
             weight = self.params.strength * fresnel[met] * shown[at]
-            change = weight[:, None] * (sent - behind) / np.maximum(light[at], DARKEST)
+            change = (
+                weight[:, None] * (sent - behind) / np.maximum(light[at], DARKEST)
+            )
             shadow[at] = np.clip(shadow[at] + change, 0, None)
 
     def _mirror_rect(self, facts: FrameFacts, scene: Scene) -> Rect:
@@ -376,7 +395,10 @@ class Gi(Stage):
         rect = disc_rect(scene, planes, radius, facts.pose, frame)
         if rect.empty:
             return rect, "plane out of view or seen from behind"
-        return rect, f"plane changes by half a grey level within {100 * radius:.0f} cm"
+        return (
+            rect,
+            f"plane changes by half a grey level within {100 * radius:.0f} cm",
+        )
 
 
 def _reflected_rect(facts: FrameFacts, scene: Scene) -> Rect:

@@ -59,12 +59,16 @@ class FrameLight:
     @property
     def ambient_fraction(self) -> np.ndarray:
         """(3,) of the plane's light that is ambient; 0 where there is no light."""
-        return divide(self.plane_ambient, self.plane_ambient + self.plane_direct.sum(0))
+        return divide(
+            self.plane_ambient, self.plane_ambient + self.plane_direct.sum(0)
+        )
 
     @property
     def direct_fractions(self) -> np.ndarray:
         """(l, 3) of the plane's light that each directional light gives."""
-        return divide(self.plane_direct, self.plane_ambient + self.plane_direct.sum(0))
+        return divide(
+            self.plane_direct, self.plane_ambient + self.plane_direct.sum(0)
+        )
 
 
 def frame_light(
@@ -76,7 +80,9 @@ def frame_light(
     Lights without a direction or without finite colour are left out; negative colour counts
     as none, a size that is not finite as the smallest."""
     t = np.array([li.unit for li in light.lights]).reshape(-1, 3)
-    c = np.clip(np.array([li.rgb for li in light.lights], float).reshape(-1, 3), 0, None)
+    c = np.clip(
+        np.array([li.rgb for li in light.lights], float).reshape(-1, 3), 0, None
+    )
     sizes_deg = np.array([li.angular_size_deg for li in light.lights], float)
     usable = t.any(1) & np.isfinite(c).all(1) & c.any(1)
     t, c = t[usable], c[usable]
@@ -109,14 +115,19 @@ def frame_light(
     )
 
 
-def _shape(soft: np.ndarray, world_from_anchor: np.ndarray) -> tuple[float, float, float]:
+def _shape(
+    soft: np.ndarray, world_from_anchor: np.ndarray
+) -> tuple[float, float, float]:
     """Of harmonics (9, 3) or none: of all colours together, by their first two degrees."""
     if not len(soft) or not np.isfinite(soft).all():
         return 0.0, 0.0, 0.0
     level = (soft / DIFFUSE[:, None]).mean(1)
-    rise = np.sqrt(3) * divide(level[[3, 1, 2]], max(level[0], 0.0)) @ world_from_anchor
+    rise = (
+        np.sqrt(3) * divide(level[[3, 1, 2]], max(level[0], 0.0)) @ world_from_anchor
+    )
     return triple(
-        np.round(rise / max(1.0, float(np.linalg.norm(rise))) / SHAPE_STEP) * SHAPE_STEP
+        np.round(rise / max(1.0, float(np.linalg.norm(rise))) / SHAPE_STEP)
+        * SHAPE_STEP
     )
 
 

@@ -168,6 +168,8 @@ def _faceting(
     side = np.linalg.norm([a - b, b - c, c - a], axis=2).max(0)
     # a chord of length L that leans by the angle from the arc's tangent at its end lies L /
     # 2 tan(angle / 2) below the arc
-    sag = float(np.quantile(side / 2 * np.tan(angle / 2), 0.95)) if len(faces) else 0.0
+    sag = (
+        float(np.quantile(side / 2 * np.tan(angle / 2), 0.95)) if len(faces) else 0.0
+    )
     slope = float(np.quantile(np.tan(angle), 0.95)) if len(faces) else 0.0
     return min(sag, _COARSEST_SAG * extent), slope

@@ -111,7 +111,11 @@ def _lobes(
     axes = face_directions(side).reshape(-1, 3)
     directions = (lobe @ np.stack([*frame_about(axes), axes], 1)).astype(np.float32)
     details = np.tile(detail.astype(np.float32), len(axes))
-    return directions.reshape(-1, 3), details, (weight / weight.sum()).astype(np.float32)
+    return (
+        directions.reshape(-1, 3),
+        details,
+        (weight / weight.sum()).astype(np.float32),
+    )
 
 
 @kernel(fastmath=FAST, error_model="numpy")

@@ -61,7 +61,9 @@ class PlaneView:
         linear, offset = texture.texel_from_m[:, :2], texture.texel_from_m[:, 2]
         across = np.tensordot(linear, self._directions[:2], 1)
         nodes = np.stack([*across, self._directions[2]]).astype(np.float32)
-        start = np.array([*(linear @ self._eye[:2] + offset), self._eye[2]], np.float32)
+        start = np.array(
+            [*(linear @ self._eye[:2] + offset), self._eye[2]], np.float32
+        )
         seen = np.zeros((0, 0), np.float32) if share is None else share
         weights = np.asarray(weights, np.float32)
         texels = texture.dark.reshape(-1, *texture.dark.shape[-2:])

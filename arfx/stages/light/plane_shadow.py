@@ -147,25 +147,33 @@ def soft_pictures(
         if box is None:
             for part in picture.dark:
                 border = cv2.BORDER_REPLICATE
-                cv2.GaussianBlur(part, (0, 0), _EVENED_TEXELS, part, borderType=border)
+                cv2.GaussianBlur(
+                    part, (0, 0), _EVENED_TEXELS, part, borderType=border
+                )
         return picture
 
     return _joined_at_contact(caster, make)
 
 
-def under_light(soft: PlaneTexture, shape: tuple[float, float, float]) -> PlaneTexture:
+def under_light(
+    soft: PlaneTexture, shape: tuple[float, float, float]
+) -> PlaneTexture:
     """What is hidden of one soft light. soft : `soft_picture`;  shape : anchor axes, no
     longer than 1
     """
     hidden = np.tensordot(np.array([1.0, *shape], np.float32), soft.dark, 1)
-    return PlaneTexture(_zero_border(hidden / (1 + 2 / 3 * shape[2])), soft.texel_from_m)
+    return PlaneTexture(
+        _zero_border(hidden / (1 + 2 / 3 * shape[2])), soft.texel_from_m
+    )
 
 
 def beam_textures(
     caster: Caster, beam: Beam, level: PlaneLevel
 ) -> tuple[PlaneTexture, ...]:
     """`beam_texture` of all the shadow and of the contact, which add up to one."""
-    return _joined_at_contact(caster, lambda box: beam_texture(caster, beam, level, box))
+    return _joined_at_contact(
+        caster, lambda box: beam_texture(caster, beam, level, box)
+    )
 
 
 def beam_texture(
@@ -183,7 +191,9 @@ def beam_texture(
     away = normalise(-outer[0, :2])
     if not away.any():
         away = np.array([1.0, 0.0])
-    axes = np.stack([away, [-away[1], away[0]]])  # column axis falls away from the light
+    axes = np.stack(
+        [away, [-away[1], away[0]]]
+    )  # column axis falls away from the light
     slopes = -(outer[:, :2] @ axes.T) / outer[:, 2:]
     spread = caster.cast(outer)
     if box is not None:
@@ -195,14 +205,17 @@ def beam_texture(
     count = level.silhouettes if beam.size_deg > 0 else _SHIFTED
     many = disc_directions(beam, disc(count))
     displaced = -(many[:, :2] @ axes.T) / many[:, 2:]
-    dark = covered_fraction(points, caster.edges, caster.across, many, displaced, shape)
+    dark = covered_fraction(
+        points, caster.edges, caster.across, many, displaced, shape
+    )
     radii = np.abs(slopes[1:] - slopes[0]).max(0)
     dark = smoothed(dark, points, caster.above, slopes[0], radii, count)
     return PlaneTexture(_zero_border(dark), matrix)
 
 
 def within_surface(
-    textures: Iterable[PlaneTexture], surface_m: tuple[float, float, float, float] | None
+    textures: Iterable[PlaneTexture],
+    surface_m: tuple[float, float, float, float] | None,
 ) -> list[PlaneTexture]:
     """The same, with nothing beyond the surface (x0, y0, x1, y1), which ends within a texel.
 
@@ -255,7 +268,10 @@ def texel_places(texture: PlaneTexture) -> np.ndarray:
 def _inside_m(places: np.ndarray, box: Sequence[float]) -> np.ndarray:
     """How far places (..., 2) lie inside a box x0, y0, x1, y1; below 0 outside."""
     x, y = places[..., 0], places[..., 1]
-    across, along = np.minimum(x - box[0], box[2] - x), np.minimum(y - box[1], box[3] - y)
+    across, along = (
+        np.minimum(x - box[0], box[2] - x),
+        np.minimum(y - box[1], box[3] - y),
+    )
     return np.asarray(np.minimum(across, along))
 
 

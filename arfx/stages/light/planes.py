@@ -35,7 +35,10 @@ SAME_DEPTH = 0.03  # of the distance: what was measured off by more is not the p
 # a rough plane's mirror image is wider by this share of the object's height, times the
 # lobe's tangent
 BLUR = 0.6
-NEAREST, FARTHEST = 1.5, 8.0  # radii of the object: the disc is never smaller or larger
+NEAREST, FARTHEST = (
+    1.5,
+    8.0,
+)  # radii of the object: the disc is never smaller or larger
 
 
 ENDLESS = 1e6  # metres
@@ -93,7 +96,9 @@ def planes_of(scene: Scene) -> Planes:
     centre, radius = bounding_ball(scene)
     axes = [np.array([[centre[0], centre[1], 0.0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])]
     bounds = [np.array([-ENDLESS, -ENDLESS, ENDLESS, ENDLESS])]
-    markers = ((pose, None, *_SAME_MARKER) for pose in scene.world_from_marker.values())
+    markers = (
+        (pose, None, *_SAME_MARKER) for pose in scene.world_from_marker.values()
+    )
     real = ((p.world_from_plane, p, *_SAME_MEASURED) for p in scene.real_planes)
     for pose, measured, cosine, apart_m in (*markers, *real):
         m = anchor_from_world @ pose
@@ -106,12 +111,16 @@ def planes_of(scene: Scene) -> Planes:
         distance = float((centre - o) @ n)
         if same and measured is not None and np.abs(bounds[same[0]]).min() >= ENDLESS:
             k = same[0]
-            x = normalise(m.rotation[:, 0] - (m.rotation[:, 0] @ axes[k][3]) * axes[k][3])
+            x = normalise(
+                m.rotation[:, 0] - (m.rotation[:, 0] @ axes[k][3]) * axes[k][3]
+            )
             axes[k] = np.stack([axes[k][0], x, np.cross(axes[k][3], x), axes[k][3]])
             bounds[k] = _bounds(measured, axes[k], o)
         if not same and -0.5 * radius < distance < FARTHEST * radius:
             axes.append(
-                np.stack([centre - distance * n, m.rotation[:, 0], m.rotation[:, 1], n])
+                np.stack(
+                    [centre - distance * n, m.rotation[:, 0], m.rotation[:, 1], n]
+                )
             )
             bounds.append(_bounds(measured, axes[-1], o))
     return Planes(
@@ -128,7 +137,9 @@ def _bounds(
     """
     out = np.array([-ENDLESS, -ENDLESS, ENDLESS, ENDLESS])
     if measured is not None:
-        shift = np.tile([(origin - axes[0]) @ axes[1], (origin - axes[0]) @ axes[2]], 2)
+        shift = np.tile(
+            [(origin - axes[0]) @ axes[1], (origin - axes[0]) @ axes[2]], 2
+        )
         out = np.where(measured.ends, np.asarray(measured.extent_m) + shift, out)
     return out
 
@@ -192,7 +203,9 @@ def mirror_rect(
         spread = np.concatenate(
             [mirrored + s * reach * a for s in (-1, 1) for a in (axes[1], axes[2])]
         )
-        out = out.union(seen_rect(scene.camera, camera_from_anchor.apply(spread), 2.0))
+        out = out.union(
+            seen_rect(scene.camera, camera_from_anchor.apply(spread), 2.0)
+        )
     return out.clip(frame)
 
 
@@ -239,7 +252,9 @@ class PlatePicture:
         if self.real.size:
             column, row = np.rint([x[inside], y[inside]]).astype(int)
             dioptres = 1 / placed[inside][:, 2]
-            inside[inside] = on_plane(self.real[row, column], dioptres, SAME_DEPTH) == 1
+            inside[inside] = (
+                on_plane(self.real[row, column], dioptres, SAME_DEPTH) == 1
+            )
         border = cv2.BORDER_REPLICATE
         at = x.astype(np.float32), y.astype(np.float32)
         out = cv2.remap(self.plate, *at, cv2.INTER_LINEAR, borderMode=border)
@@ -247,7 +262,9 @@ class PlatePicture:
         return np.asarray(out, np.float32), inside.astype(np.float32)
 
 
-def on_plane(real_m: np.ndarray, dioptres: np.ndarray, tolerance: float) -> np.ndarray:
+def on_plane(
+    real_m: np.ndarray, dioptres: np.ndarray, tolerance: float
+) -> np.ndarray:
     """(h, w) float32: 1 = the real surface is the plane, 0 = it is not; 1 where nothing was
     measured.
 
@@ -260,7 +277,9 @@ def on_plane(real_m: np.ndarray, dioptres: np.ndarray, tolerance: float) -> np.n
     return np.where(known, fraction, 1).astype(np.float32)
 
 
-def filled(radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
+def filled(
+    radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray
+) -> np.ndarray:
     """(p, side, side, 3) float32: what the picture does not show as what it shows around;
     `otherwise` (3,) where it shows nothing. known (p, side, side) : 0 or 1"""
     out = np.empty_like(radiance)

@@ -57,7 +57,9 @@ class ShadowRegion:
         """The most that the object hides of the plane's hemisphere, 0..1."""
         return float(self.soft.dark[0].max())
 
-    def _soft_pictures(self, level: PlaneLevel, least: float) -> tuple[PlaneTexture, ...]:
+    def _soft_pictures(
+        self, level: PlaneLevel, least: float
+    ) -> tuple[PlaneTexture, ...]:
         """What the object takes of the soft light, where that can be more than `least`
         whatever its shape.
         """
@@ -72,7 +74,10 @@ class ShadowRegion:
         least_hidden : share of the soft light that has to be hidden to show;  beams : lamps
         whose shadow shows
         """
-        parts = [self._soft_outline_m(least_hidden), *map(self._beam_outline_m, beams)]
+        parts = [
+            self._soft_outline_m(least_hidden),
+            *map(self._beam_outline_m, beams),
+        ]
         points = np.concatenate(parts)
         return _subdivided(_hull(points)) if len(points) else points
 
@@ -111,7 +116,9 @@ def darkest(light: FrameLight, scene: Scene) -> float:
     """The largest share of the plane's light, 0..1, that the object can take: every
     directional light, and of the ambient one what it hides where it hides most."""
     hidden = min(shadow_region(scene).hidden * unevenness(light), 1.0)
-    return float((light.ambient_fraction * hidden + light.direct_fractions.sum(0)).max())
+    return float(
+        (light.ambient_fraction * hidden + light.direct_fractions.sum(0)).max()
+    )
 
 
 def unevenness(light: FrameLight) -> float:
@@ -119,7 +126,8 @@ def unevenness(light: FrameLight) -> float:
     most, as far as pictures hold it.
     """
     return min(
-        (1 + float(np.linalg.norm(light.shape))) / (1 + 2 / 3 * light.shape[2]), UNEVEN
+        (1 + float(np.linalg.norm(light.shape))) / (1 + 2 / 3 * light.shape[2]),
+        UNEVEN,
     )
 
 

@@ -42,7 +42,9 @@ def covered_fraction(
     """
     offsets = r2(len(slopes)) - 0.5
     offsets -= offsets.mean(0)
-    towards, moved, shifts = (a.astype(np.float32) for a in (directions, slopes, offsets))
+    towards, moved, shifts = (
+        a.astype(np.float32) for a in (directions, slopes, offsets)
+    )
     count = _count(points, edges, across, towards, moved, shifts, *shape)
     return np.asarray(count / _F(len(slopes)))
 
@@ -53,7 +55,10 @@ def _count(
 ):  # pragma: no cover - compiled
     count = np.zeros((rows, columns), np.float32)
     turns = np.empty((rows, columns + 1), np.int32)
-    u, v = np.empty(points.shape[0], np.float32), np.empty(points.shape[0], np.float32)
+    u, v = (
+        np.empty(points.shape[0], np.float32),
+        np.empty(points.shape[0], np.float32),
+    )
     side = np.empty(across.shape[1] + 1, np.int32)
     for k in range(slopes.shape[0]):
         for i in range(points.shape[0]):
@@ -96,7 +101,9 @@ def _add_edge(turns, u, v, a, b, weight):  # pragma: no cover - compiled
 
 
 @kernel()
-def height_map(u, v, height, faces, rows, columns, empty):  # pragma: no cover - compiled
+def height_map(
+    u, v, height, faces, rows, columns, empty
+):  # pragma: no cover - compiled
     """(rows, columns) float32: the greatest height of the triangles at each texel's centre;
     `empty` where there is none.
 
@@ -179,7 +186,9 @@ def _caster_height(
     """
     rows, columns = -(-shape[0] // COARSE), -(-shape[1] // COARSE)
     h = np.ascontiguousarray(points[:, 2])
-    u, v = ((points[:, k] + _F(slope[k]) * h + 0.5) / COARSE - _F(0.5) for k in (0, 1))
+    u, v = (
+        (points[:, k] + _F(slope[k]) * h + 0.5) / COARSE - _F(0.5) for k in (0, 1)
+    )
     height = height_map(u, v, h, faces, rows, columns, _F(-1))
     empty = height < 0
     if empty.all():

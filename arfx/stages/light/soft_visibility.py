@@ -26,7 +26,9 @@ from arfx.stages.light.surfels import Hits, ObjectRays, surfels_of
 DIFFUSE_RISE = (
     2 / 3
 )  # of the light's rise towards one side that is left in the light on a surface
-LEAST_SEEN = 1e-3  # of the hemisphere: a surfel counts by what it sees, as cameras see it
+LEAST_SEEN = (
+    1e-3  # of the hemisphere: a surfel counts by what it sees, as cameras see it
+)
 _CELLS, _SURFELS, _RAYS = 32, 16_000, 48
 _PIXEL_RAYS = 400  # of level reference
 _PLACEMENTS = 4  # of one model, whose grids are kept
@@ -83,7 +85,9 @@ def soft_visibility(
         traced = rays.over(surfels.points, surfels.normals, _RAYS)
         parts = np.concatenate([hidden_parts(hits, plane) for hits in traced])
         seen = np.maximum(1 - parts[:, 0], LEAST_SEEN)
-        grid = SurfaceGrid(surfels.points, surfels.normals, surfels.area * seen, _CELLS)
+        grid = SurfaceGrid(
+            surfels.points, surfels.normals, surfels.area * seen, _CELLS
+        )
         return SoftVisibility(grid, grid.nodes(parts))
 
     kept: SoftVisibility = memo_of(scene.model).get(
@@ -105,7 +109,9 @@ def visible_fraction(
     layers : COVERAGE, NORMAL, POSITION;  nodes : `kept`, under a light of this shape"""
     hidden = kept.grid.read(nodes, *layers, anchor_from_world)[..., 0]
     rise = DIFFUSE_RISE * anchor_from_world.rotation.T @ np.array(shape)
-    light = 1 + (layers[1].reshape(-1, 3) @ rise.astype(np.float32)).reshape(hidden.shape)
+    light = 1 + (layers[1].reshape(-1, 3) @ rise.astype(np.float32)).reshape(
+        hidden.shape
+    )
     return np.asarray(
         np.clip(1 - hidden / np.maximum(light, LEAST_SEEN), 0, 1), np.float32
     )

@@ -85,7 +85,9 @@ class ObjectRays:
                 break
             behind = distance[through] + self.lift_m
             moved = starts[through] + behind[:, None] * directions[through]
-            face[through], more, chance[through] = self._first(moved, directions[through])
+            face[through], more, chance[through] = self._first(
+                moved, directions[through]
+            )
             distance[through] = behind + more
         return face, distance
 
@@ -97,7 +99,8 @@ class ObjectRays:
         """
         hits = self.triangles.first_hits(starts, directions)
         place = (
-            np.asarray(hits["u"], float) * 12.9898 + np.asarray(hits["v"], float) * 78.233
+            np.asarray(hits["u"], float) * 12.9898
+            + np.asarray(hits["v"], float) * 78.233
         )
         chance = (np.sin(place) * 43758.5453) % 1
         return (
@@ -113,7 +116,9 @@ class ObjectRays:
         if (self.opacity >= _OPAQUE).all():
             return self.triangles.visible_fraction(points, directions)
         for direction in directions:
-            face, _ = self.first_hits(points, np.broadcast_to(direction, points.shape))
+            face, _ = self.first_hits(
+                points, np.broadcast_to(direction, points.shape)
+            )
             out += (face < 0) / count
         return out
 
@@ -188,7 +193,9 @@ def surfels_of(rays: ObjectRays, count: int) -> Surfels:
     points = (weights[:, :, None] * rays.corners[face]).sum(1)
     normals = rays.normals[face]
     colours = _colours(rays, face, weights)
-    front, back = (_seen_from_outside(rays, points, side * normals) for side in (1, -1))
+    front, back = (
+        _seen_from_outside(rays, points, side * normals) for side in (1, -1)
+    )
     through = rays.opacity[face] < _OPAQUE  # its inside shows
     front, back = front | through, back | through
     front |= ~(front | back)  # a sliver between others: counted once
@@ -196,7 +203,11 @@ def surfels_of(rays: ObjectRays, count: int) -> Surfels:
     side = np.repeat([1.0, -1.0], [front.sum(), back.sum()])[:, None]
     share = (area / counted)[face[keep]]
     return Surfels(
-        points[keep], side * normals[keep], face[keep], share, *(c[keep] for c in colours)
+        points[keep],
+        side * normals[keep],
+        face[keep],
+        share,
+        *(c[keep] for c in colours),
     )
 
 
@@ -251,7 +262,9 @@ def _metallic(material: Material) -> float:
     return material.metallic * mean
 
 
-def texels_of(mesh: SceneMesh, name: str, part: np.ndarray, uv: np.ndarray) -> np.ndarray:
+def texels_of(
+    mesh: SceneMesh, name: str, part: np.ndarray, uv: np.ndarray
+) -> np.ndarray:
     """(n, 4) uint8 nearest texels of the texture `name` at places of parts (n,), by their
     coordinates uv (n, 4); 255 where a part has none."""
     out = np.full((len(part), 4), 255, np.uint8)

@@ -39,9 +39,13 @@ from arfx.stages.light.environment import (
     prefiltered,
 )
 
-SOFT_DEG = 25.0  # over the plane's horizon, in which its colour goes over to the guess
+SOFT_DEG = (
+    25.0  # over the plane's horizon, in which its colour goes over to the guess
+)
 _GUESS_PX = 16  # texels of a guess's face while it is smoothed
-_LEAST_SKY = 0.3  # share of the plane's light that comes from what was not seen, at least
+_LEAST_SKY = (
+    0.3  # share of the plane's light that comes from what was not seen, at least
+)
 _LEAST_COLOUR = 1e-3  # of the brightest, that a guess has everywhere of each colour
 _MOST = 1e3  # times as bright as it was found
 _UP_STEP = 1 / 16  # of the plane's normal where it turns in a cube's axes
@@ -98,8 +102,12 @@ class FrameSurroundings:
         out = np.empty(texels.shape[1:], np.float32)
         for rows, roughness in zip(level_slices(), ROUGHNESSES, strict=True):
             half_angle = np.sqrt(8) * np.arctan(roughness**2)
-            share = np.clip((half_angle - _NARROW_RAD) / (_WIDE_RAD - _NARROW_RAD), 0, 1)
-            weights = ((1 - share) * self.narrow + share * self.wide).astype(np.float32)
+            share = np.clip(
+                (half_angle - _NARROW_RAD) / (_WIDE_RAD - _NARROW_RAD), 0, 1
+            )
+            weights = ((1 - share) * self.narrow + share * self.wide).astype(
+                np.float32
+            )
             np.einsum("pnc,pc->nc", texels[:, rows], weights, out=out[rows])
         return environment_of(out, self.axes)
 

@@ -83,12 +83,17 @@ class Transport:
         self.surfels = surfels_of(rays, level.surfels)
         points, normals = self.surfels.points, self.surfels.normals
         self.texels = texel_positions(planes, level.side).reshape(-1, 3)
-        self._texel_normals = np.repeat(planes.axes[:, 3].astype(float), level.side**2, 0)
+        self._texel_normals = np.repeat(
+            planes.axes[:, 3].astype(float), level.side**2, 0
+        )
         traced = [*rays.over(points, normals, level.rays)]
         met = np.concatenate([(hits.face >= 0).mean(1) for hits in traced])
         # over the anchor's plane, as cameras see a surfel, which counts by that
         seen = np.concatenate(
-            [((hits.face < 0) & (hits.directions[..., 2] > 0)).mean(1) for hits in traced]
+            [
+                ((hits.face < 0) & (hits.directions[..., 2] > 0)).mean(1)
+                for hits in traced
+            ]
         )
         weights = self.surfels.area * np.maximum(seen, _LEAST_SEEN)
         self.grid = SurfaceGrid(points, normals, weights, level.cells)
@@ -114,14 +119,18 @@ class Transport:
         shares = np.bincount(row[nearer], minlength=count) / level.rays
         self.hidden = shares.reshape(-1, side, side)
 
-    def _met(self, traced: Iterable[Hits], own: np.ndarray | None) -> list[np.ndarray]:
+    def _met(
+        self, traced: Iterable[Hits], own: np.ndarray | None
+    ) -> list[np.ndarray]:
         """Of every ray, (rays,) each: its place's row; the column of what it meets, and of
         what it would meet without the object; whether it meets the object, and whether a
         plane is behind. own : as of `_beyond`, of all rows
         """
         parts = []
         for hits in traced:
-            behind, distance = self._beyond(hits, None if own is None else own[hits.rows])
+            behind, distance = self._beyond(
+                hits, None if own is None else own[hits.rows]
+            )
             nearer, met = hits.distance < distance, behind.copy()
             met[nearer] = self._nodes_met(hits, nearer)
             row = np.repeat(np.arange(hits.rows.start, hits.rows.stop), met.shape[1])
@@ -200,7 +209,9 @@ class Transport:
         undisturbed = _stacked(unseen, picture, sky)
         if self._without is not None:
             soft = light.soft_radiance(normals)
-            total = np.maximum(alone + self._without @ undisturbed - soft, _LEAST_TOTAL)
+            total = np.maximum(
+                alone + self._without @ undisturbed - soft, _LEAST_TOTAL
+            )
             # a lamp's shadow on the first plane is drawn as if no other plane hid soft
             # light that is left in it
             first = np.arange(len(total)) < self.level.side**2
@@ -224,7 +235,9 @@ class Transport:
             if np.abs(sent - before).max() <= _SETTLED * sent.max():
                 break
         fields = (gain, beside + extra, total, left)
-        return Indirect(received, sent, *(np.reshape(field, shape) for field in fields))
+        return Indirect(
+            received, sent, *(np.reshape(field, shape) for field in fields)
+        )
 
     def more_from_around(self, picture: np.ndarray, sky: np.ndarray) -> np.ndarray:
         """(n, 3) light on surfels by changes of the planes' radiance and of the sky's; as `solve`
@@ -237,10 +250,17 @@ class Transport:
         """(light on surfels (n, 3), light that texels lose (m, 3)), of white surfaces, by
         lamps alone.
         """
-        turn, rays, surfels = scene.world_from_anchor.rotation.T, self.rays, self.surfels
+        turn, rays, surfels = (
+            scene.world_from_anchor.rotation.T,
+            self.rays,
+            self.surfels,
+        )
         points = surfels.points + rays.lift_m * surfels.normals
         texels = self.texels + rays.lift_m * self._texel_normals
-        on_surfels, shadow = np.zeros(surfels.points.shape), np.zeros(self.texels.shape)
+        on_surfels, shadow = (
+            np.zeros(surfels.points.shape),
+            np.zeros(self.texels.shape),
+        )
         for lamp in light.lights:
             towards, rgb = turn @ lamp.unit, np.clip(lamp.rgb, 0, None)
             if not np.isfinite(rgb).all() or not rgb.any() or towards[2] <= 0:
@@ -271,4 +291,6 @@ def sky_texels(directions: np.ndarray) -> np.ndarray:
     face, u, v = on_cube(directions.reshape(-1, 3))
     column = np.minimum((u + 1) / 2 * SKY, SKY - 1).astype(int)
     row = np.minimum((v + 1) / 2 * SKY, SKY - 1).astype(int)
-    return np.asarray((face * SKY + row) * SKY + column).reshape(directions.shape[:-1])
+    return np.asarray((face * SKY + row) * SKY + column).reshape(
+        directions.shape[:-1]
+    )

@@ -168,7 +168,9 @@ def _percentage_closer(
 
 
 @line_kernel(fastmath=FAST | {"reassoc"}, error_model="numpy")
-def _blockers(seen: DepthMap, place, tilt, points, radius):  # pragma: no cover - compiled
+def _blockers(
+    seen: DepthMap, place, tilt, points, radius
+):  # pragma: no cover - compiled
     """(how many, sum of their depths) of the map's texels at `points` (2, k) of a disc that
     are nearer to the light than the plane through `place` whose depth falls by `tilt`."""
     texels, side = seen.depth.reshape(-1), np.int32(seen.depth.shape[0])
@@ -179,7 +181,9 @@ def _blockers(seen: DepthMap, place, tilt, points, radius):  # pragma: no cover 
         v = min(max(place[1] + points[1, k] * radius, _F(0)), last)
         column, row = np.int32(u + half), np.int32(v + half)
         du, dv = _F(column) - place[0], _F(row) - place[1]
-        edge = place[2] - tilt[0] * du - tilt[1] * dv + seen.slope * (abs(du) + abs(dv))
+        edge = (
+            place[2] - tilt[0] * du - tilt[1] * dv + seen.slope * (abs(du) + abs(dv))
+        )
         depth = texels[np.uintp(row * side + column)]
         hit = _F(depth > edge)
         count += hit

@@ -209,7 +209,9 @@ def _shade(
                 share = mirrors * mirrored_share(visible, n_v, rough)
                 for c in range(3):
                     mirrored = (
-                        metal * (colour[c] * direct + grazing) * (one + colour[c] * lost)
+                        metal
+                        * (colour[c] * direct + grazing)
+                        * (one + colour[c] * lost)
                     )
                     pixel[c] += share * around[c] * ((one - metal) * coat + mirrored)
             alpha2 = rough * rough * rough * rough

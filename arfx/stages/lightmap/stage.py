@@ -157,7 +157,9 @@ class Lightmap(Stage):
         light = self._light(view.facts, view.scene)
         lit = view.layers.crop(view.facts.raster_box.clip(view.rect))
         return {
-            Layer.VIRTUAL: Pixels(lit.rect, self._virtual(lit, view, prepared, light)),
+            Layer.VIRTUAL: Pixels(
+                lit.rect, self._virtual(lit, view, prepared, light)
+            ),
             Layer.SHADOW: self._shadow(view, prepared, light),
         }
 
@@ -205,7 +207,9 @@ class Lightmap(Stage):
         elif soft is not None:
             key = "object", light.shape
             nodes = memo.get(key, partial(soft.under, light.shape), "soft")
-            out[0] = visible_fraction(seen, soft, nodes, anchor_from_world, light.shape)
+            out[0] = visible_fraction(
+                seen, soft, nodes, anchor_from_world, light.shape
+            )
         for visible, k in zip(out[1:], reaching, strict=True):
             beam, caster = light.beams[k], region.caster
             if view.level == "reference":
@@ -291,7 +295,9 @@ class Lightmap(Stage):
                 weights += [fraction] * len(found)
         real = view.facts.plane_shadow
         blocked = (
-            None if real is None else plane_shadow_texture(real, light.ambient_fraction)
+            None
+            if real is None
+            else plane_shadow_texture(real, light.ambient_fraction)
         )
         seen = PlaneView(view.out, prepared.grid, anchor_from_camera)
         shares = np.reshape(weights, (-1, 3))
@@ -305,10 +311,16 @@ class Lightmap(Stage):
     ) -> tuple[Rect, str]:
         """Pixels in which the shadow may show, and why those or none."""
         region, least = shadow_region(scene), self._shows_from
-        eye = scene.world_from_anchor.inverse().apply(facts.pose.inverse().translation_m)
+        eye = scene.world_from_anchor.inverse().apply(
+            facts.pose.inverse().translation_m
+        )
         if eye[2] <= 0:
             return EMPTY, "no shadow: plane seen from behind"
-        most = self.params.shadow_strength * region.caster.opacity * darkest(light, scene)
+        most = (
+            self.params.shadow_strength
+            * region.caster.opacity
+            * darkest(light, scene)
+        )
         light_of_plane = "% of the plane's light"
         if most <= least:
             return (

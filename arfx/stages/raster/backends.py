@@ -51,7 +51,8 @@ def choose_backend(wanted: str = "auto") -> Backend:
     edge quality it takes two to three times as long as rays (measured with llvmpipe)."""
     if wanted not in ("auto", *BACKENDS):
         raise ConfigError(
-            f"unknown raster back end {wanted!r}", "one of auto, " + ", ".join(BACKENDS)
+            f"unknown raster back end {wanted!r}",
+            "one of auto, " + ", ".join(BACKENDS),
         )
     if wanted == "rays":
         return _ray_backend("asked for")
@@ -69,7 +70,9 @@ def choose_backend(wanted: str = "auto") -> Backend:
         return _ray_backend("OpenGL runs in software here")
     from arfx.stages.raster.gl import GlFaces
 
-    why = "asked for" if wanted == "pyrender" else "OpenGL runs on a graphics card here"
+    why = (
+        "asked for" if wanted == "pyrender" else "OpenGL runs on a graphics card here"
+    )
     return Backend("pyrender", GlFaces, GL_SAMPLES, why)
 
 

@@ -71,7 +71,9 @@ def _points_along(
     xy = divide(view.points[ends, :2], z[..., None])
     low, high = bounds_of(view)
     near = (
-        (xy.max(1) >= low).all(1) & (xy.min(1) <= high).all(1) & (z > EPS_DEPTH_M).all(1)
+        (xy.max(1) >= low).all(1)
+        & (xy.min(1) <= high).all(1)
+        & (z > EPS_DEPTH_M).all(1)
     )
     xy, z = xy[near], z[near]
     length = (np.abs(xy[:, 1] - xy[:, 0]) * [camera.fx, camera.fy]).max(1, initial=0)
@@ -99,7 +101,10 @@ def _add_jumps(mask, part, face_normal, view: View, face, depth):  # pragma: no 
     one, height, width = np.uintp(1), np.uintp(face.shape[0]), np.uintp(face.shape[1])
     for y in range(height):
         for x in range(width):
-            for v, u in ((y, min(x + one, width - one)), (min(y + one, height - one), x)):
+            for v, u in (
+                (y, min(x + one, width - one)),
+                (min(y + one, height - one), x),
+            ):
                 if face[y, x] == face[v, u] or (before[y, x] and before[v, u]):
                     continue
                 marked, nothing = (
@@ -120,7 +125,9 @@ def _add_jumps(mask, part, face_normal, view: View, face, depth):  # pragma: no 
                             _towards(view, normal, y, x),
                             _towards(view, normal, v, u),
                         )
-                        differ = gap > _SLOPES * abs(here - there) / max(abs(there), 1e-3)
+                        differ = gap > _SLOPES * abs(here - there) / max(
+                            abs(there), 1e-3
+                        )
                 if differ:
                     mask[y, x], mask[v, u] = True, True
 

@@ -40,7 +40,9 @@ class Picture(NamedTuple):
     width: int
     height: int
 
-    def looked_up(self, numbers: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    def looked_up(
+        self, numbers: np.ndarray, x: np.ndarray, y: np.ndarray
+    ) -> np.ndarray:
         """int32 of `numbers` (texels,), bottom row first, along directions; -1 beyond."""
         with np.errstate(invalid="ignore"):
             column = np.floor(x * self.scale[0] + self.shift[0] + 0.5)
@@ -95,17 +97,25 @@ class GlFaces:
 
         return nearest
 
-    def _drawn(self, view: View, picture: Picture, near: float, far: float) -> np.ndarray:
+    def _drawn(
+        self, view: View, picture: Picture, near: float, far: float
+    ) -> np.ndarray:
         """(texels,) int32 numbers of faces, -1 = none, bottom row first."""
         middle = picture.shift + 0.5
-        ideal = self.context.pyrender.IntrinsicsCamera(*picture.scale, *middle, near, far)
+        ideal = self.context.pyrender.IntrinsicsCamera(
+            *picture.scale, *middle, near, far
+        )
         projection = ideal.get_projection_matrix(picture.width, picture.height)
         to_gl = np.diag([1.0, -1, -1, 1])
         camera_from_mesh = np.eye(4)
         camera_from_mesh[:3, :3] = view.rotation
-        camera_from_mesh[:3, 3] = view.points[0] - view.rotation @ self._mesh.vertices[0]
+        camera_from_mesh[:3, 3] = (
+            view.points[0] - view.rotation @ self._mesh.vertices[0]
+        )
         size = picture.width, picture.height
-        return _on_gl_thread(self.drawing, to_gl @ camera_from_mesh, projection, *size)
+        return _on_gl_thread(
+            self.drawing, to_gl @ camera_from_mesh, projection, *size
+        )
 
     def _picture(self, view: View) -> Picture:
         """The ideal camera's; empty where no direction is known."""

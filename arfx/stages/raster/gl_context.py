@@ -43,7 +43,9 @@ class GlContext:
 
 _context: GlContext | None = None
 _failure = ""
-_thread = ThreadPoolExecutor(1, "opengl")  # Python's end waits for the draw that it is at
+_thread = ThreadPoolExecutor(
+    1, "opengl"
+)  # Python's end waits for the draw that it is at
 _thread.submit(
     int
     # it starts now: Ctrl-C while it starts with work in hand would leave it running beside a
@@ -164,7 +166,9 @@ def _open(name: str) -> GlContext:
         for word in ("llvmpipe", "softpipe", "swrast", "software")
     )
     detail = f"{name}, OpenGL {version.decode()}, {renderer.decode()}"
-    platform.delete_context = lambda: None  # its __del__ would call it at Python's end
+    platform.delete_context = lambda: (
+        None
+    )  # its __del__ would call it at Python's end
     return GlContext(pyrender, platform, detail, software)
 
 

@@ -107,7 +107,9 @@ class _Buffer:
             self.stores = [int(store) for store in GL.glGenRenderbuffers(2)]
             formats = GL.GL_R32I, GL.GL_DEPTH_COMPONENT32F
             targets = GL.GL_COLOR_ATTACHMENT0, GL.GL_DEPTH_ATTACHMENT
-            for store, kind, target in zip(self.stores, formats, targets, strict=True):
+            for store, kind, target in zip(
+                self.stores, formats, targets, strict=True
+            ):
                 GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, store)
                 GL.glRenderbufferStorage(
                     GL.GL_RENDERBUFFER, kind, self.width, self.height

@@ -15,7 +15,9 @@ from arfx.core.camera import Camera
 from arfx.core.rect import Rect
 
 STEP_PX = 8
-MARGIN_PX = 3  # the table reaches this far out of the frame: derivatives at its border
+MARGIN_PX = (
+    3  # the table reaches this far out of the frame: derivatives at its border
+)
 
 
 class LensTable:
@@ -52,7 +54,9 @@ class LensTable:
         if not np.isfinite(ideal).all():
             return np.inf
         steps = (x[1] - x[0]) ** 2, (y[1] - y[0]) ** 2
-        bends = [np.abs(np.diff(ideal, 2, axis=1 - k)).max() / steps[k] for k in range(2)]
+        bends = [
+            np.abs(np.diff(ideal, 2, axis=1 - k)).max() / steps[k] for k in range(2)
+        ]
         mixed = np.abs(np.diff(np.diff(ideal, axis=0), axis=1)).max() / np.sqrt(
             steps[0] * steps[1]
         )

@@ -94,7 +94,11 @@ class Rays(NamedTuple):
 
 
 def rays_through(
-    pixel: np.ndarray, face: np.ndarray, x: np.ndarray, y: np.ndarray, share: np.ndarray
+    pixel: np.ndarray,
+    face: np.ndarray,
+    x: np.ndarray,
+    y: np.ndarray,
+    share: np.ndarray,
 ) -> Rays:
     """Rays that have met nothing yet."""
     count = len(face)

@@ -78,7 +78,9 @@ class Renderer:
         self.mesh, self.camera, self.lens = mesh, camera, LensTable(camera)
         self.tables = surface_tables(mesh)
         self.extras = has_extras(mesh)
-        self.layered = any(material.alpha_mode != OPAQUE for material in mesh.materials)
+        self.layered = any(
+            material.alpha_mode != OPAQUE for material in mesh.materials
+        )
         self.everywhere = samples >= REFERENCE_SAMPLES
         fewer = self.layered and not self.everywhere
         count = max(samples // 4, min(samples, 4)) if fewer else samples
@@ -87,7 +89,9 @@ class Renderer:
         self.offsets = offsets[np.argsort((offsets**2).sum(1), kind="stable")]
         self.taps = max(round(np.sqrt(samples) / 2), 1)
         self.pixel = float(1.0 / np.sqrt(camera.fx * camera.fy))
-        self.triangles = Triangles(mesh.corners_m, robust=True) if self.layered else None
+        self.triangles = (
+            Triangles(mesh.corners_m, robust=True) if self.layered else None
+        )
 
     def nothing(self, rect: Rect) -> dict[Layer, np.ndarray]:
         """All layers that this model has, as if it were not seen."""
@@ -102,7 +106,9 @@ class Renderer:
         for top in range(rect.y0, rect.y1, rows):
             strip = Rect(rect.x0, top, rect.x1, min(top + rows, rect.y1))
             if not strip.empty:
-                part = {name: array[strip.slices_in(rect)] for name, array in out.items()}
+                part = {
+                    name: array[strip.slices_in(rect)] for name, array in out.items()
+                }
                 self._strip(strip, camera_from_world, part)
         return out
 
@@ -113,7 +119,9 @@ class Renderer:
         # One pixel more on each side: a pixel's neighbours do not depend on the rectangle.
         wide = rect.pad(1)
         nearest = self.faces.frame(view, wide)
-        wide_x, wide_y = (np.ascontiguousarray(a[1:-1, 1:-1]) for a in (view.x, view.y))
+        wide_x, wide_y = (
+            np.ascontiguousarray(a[1:-1, 1:-1]) for a in (view.x, view.y)
+        )
         wide_face, wide_depth = nearest(wide_x, wide_y)
         if self.everywhere:
             edge = np.ones(rect.area, bool)
@@ -121,9 +129,13 @@ class Renderer:
             seen = wide_face, wide_depth
             mask = edge_pixels(self.mesh, self.camera, view, wide, *seen)
             edge = mask[1:-1, 1:-1].ravel()
-        centres = [a[1:-1, 1:-1].ravel() for a in (wide_face, wide_depth, wide_x, wide_y)]
+        centres = [
+            a[1:-1, 1:-1].ravel() for a in (wide_face, wide_depth, wide_x, wide_y)
+        ]
         face, _, x, y = centres
-        if self.layered:  # how much of a cut-out a pixel shows, its centre does not tell
+        if (
+            self.layered
+        ):  # how much of a cut-out a pixel shows, its centre does not tell
             edge |= (self.tables.ints[self.mesh.part[face], MODE] == CUT_OUT) & (
                 face >= 0
             )
@@ -158,14 +170,19 @@ class Renderer:
         centre : face, depth, x, y (n,);  samples : the same (n, s), the nearest first"""
         count, most = samples[0].shape
         if self.layered or self.everywhere:
-            joined = (np.column_stack(pair) for pair in zip(centre, samples, strict=True))
+            joined = (
+                np.column_stack(pair) for pair in zip(centre, samples, strict=True)
+            )
             face, _, x, y = (a.ravel() for a in joined)
             share = np.full((count, 1 + most), 1 / most, np.float32)
             share[:, 0] = 0
             number = np.repeat(np.arange(count), 1 + most)
             rays = rays_through(number, face, x, y, share.ravel())
             sums = self._follow(rays, count, view)
-            part, depth = rays.part.reshape(share.shape), rays.depth.reshape(share.shape)
+            part, depth = (
+                rays.part.reshape(share.shape),
+                rays.depth.reshape(share.shape),
+            )
         else:
             face, _, x, y = samples
             rays = rays_through(*merged_by_face(face, x, y))

@@ -54,7 +54,9 @@ class Raster(Stage):
     @classmethod
     def settled(cls, params: RasterParams) -> RasterParams:
         """With the back end that `auto` takes here."""
-        return params.model_copy(update={"backend": choose_backend(params.backend).name})
+        return params.model_copy(
+            update={"backend": choose_backend(params.backend).name}
+        )
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         rect = facts.raster_box.clip(frame)
@@ -71,7 +73,9 @@ class Raster(Stage):
         """
         from arfx.stages.raster.renderer import Renderer
 
-        backend = choose_backend("rays" if level == "reference" else self.params.backend)
+        backend = choose_backend(
+            "rays" if level == "reference" else self.params.backend
+        )
         samples = self.params.samples if level != "reference" else 0
         samples = samples or backend.samples[level]
         return Renderer(scene.mesh_at(0.0), scene.camera, backend.find_faces, samples)

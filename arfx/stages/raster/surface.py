@@ -92,7 +92,12 @@ def _hit(f, x, y, view, mesh):  # pragma: no cover - compiled
     ray = _in_world(view.rotation, x, y)
     weights = _F(1.0 - b1 - b2), _F(b1), _F(b2)
     return Hit(
-        _F(volume * inverse), weights, across, down, ray, dot(mesh.face_normal[f], ray)
+        _F(volume * inverse),
+        weights,
+        across,
+        down,
+        ray,
+        dot(mesh.face_normal[f], ray),
     )
 
 
@@ -106,12 +111,16 @@ def _along(uv, corners, first, growth, laid, side):  # pragma: no cover - compil
     second = first + np.uintp(1)
     in_b, in_c = side * growth[0], side * growth[1]
     u = in_b * (uv[j, first] - uv[i, first]) + in_c * (uv[k, first] - uv[i, first])
-    v = in_b * (uv[j, second] - uv[i, second]) + in_c * (uv[k, second] - uv[i, second])
+    v = in_b * (uv[j, second] - uv[i, second]) + in_c * (
+        uv[k, second] - uv[i, second]
+    )
     return laid[0, 0] * u + laid[0, 1] * v, laid[1, 0] * u + laid[1, 1] * v
 
 
 @kernel(inline="always")
-def _apply_textures(f, p, hit, side, view, mesh, values):  # pragma: no cover - compiled
+def _apply_textures(
+    f, p, hit, side, view, mesh, values
+):  # pragma: no cover - compiled
     """Multiply what is in `values` by the part's textures. side : of the sample, in pixels
 
     Returns what the normal map shows, 0..1, unused where there is none."""
@@ -142,7 +151,13 @@ def _apply_textures(f, p, hit, side, view, mesh, values):  # pragma: no cover - 
             _multiply(values, EMISSIVE, red, green, blue)
         elif values.shape[0] > PLAIN_COLUMNS:
             _apply_extra(
-                slot, red, green, blue, alpha, mesh.floats[p, OCCLUSION_STRENGTH], values
+                slot,
+                red,
+                green,
+                blue,
+                alpha,
+                mesh.floats[p, OCCLUSION_STRENGTH],
+                values,
             )
     return map_x, map_y, map_z
 
@@ -285,7 +300,11 @@ def merged_by_face(face, x, y):  # pragma: no cover - compiled
     Returns pixel, face, x, y, share of the rays that meet anything, as `Rays` has them."""
     most, samples = face.size, face.shape[1]
     pixel, out_face = np.empty(most, np.int64), np.empty(most, np.int32)
-    out_x, out_y, out_share = np.empty(most), np.empty(most), np.empty(most, np.float32)
+    out_x, out_y, out_share = (
+        np.empty(most),
+        np.empty(most),
+        np.empty(most, np.float32),
+    )
     count = np.uintp(0)
     for a in range(face.shape[0]):
         start = count

@@ -108,4 +108,11 @@ def _factors(material: Material) -> list[float]:
     coat = material.clearcoat, material.clearcoat_roughness
     sheen = *material.sheen_colour, material.sheen_roughness
     scales = material.alpha_cutoff, material.normal_scale, material.occlusion_strength
-    return [*material.base_colour, *surface, *material.emissive, *coat, *sheen, *scales]
+    return [
+        *material.base_colour,
+        *surface,
+        *material.emissive,
+        *coat,
+        *sheen,
+        *scales,
+    ]

@@ -48,7 +48,9 @@ def _between(texels, p, q, share):  # pragma: no cover - compiled
 
 
 @line_kernel(error_model="numpy", fastmath=FAST)
-def filtered(texels, table, t, place, across, down, taps):  # pragma: no cover - compiled
+def filtered(
+    texels, table, t, place, across, down, taps
+):  # pragma: no cover - compiled
     """Four channels of texture t, 0..1: mean over a parallelogram.
 
     place : u, v of its middle;  across, down : its sides in u, v
@@ -102,8 +104,14 @@ def filtered(texels, table, t, place, across, down, taps):  # pragma: no cover -
                 fx, fy = _F(fx >= _F(0.5)), _F(fy >= _F(0.5))
             x0, y0 = np.int32(left), np.int32(top)
             x1, y1 = np.int32(x0 + least), np.int32(y0 + least)
-            x0, x1 = x0 if x0 >= 0 else before_u, x1 if x1 < w else w - least - before_u
-            y0, y1 = y0 if y0 >= 0 else before_v, y1 if y1 < h else h - least - before_v
+            x0, x1 = (
+                x0 if x0 >= 0 else before_u,
+                x1 if x1 < w else w - least - before_u,
+            )
+            y0, y1 = (
+                y0 if y0 >= 0 else before_v,
+                y1 if y1 < h else h - least - before_v,
+            )
             upper, lower = start + y0 * w, start + y1 * w
             p, q = np.uintp(upper + x0), np.uintp(upper + x1)
             r, s = np.uintp(lower + x0), np.uintp(lower + x1)

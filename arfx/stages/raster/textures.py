@@ -34,7 +34,9 @@ def texture_stack(uses: Sequence[tuple[Texture, bool]]) -> TextureStack:
     """A row of the table for each; a picture that is used in several places is stored once.
 
     uses : textures, and whether their colour is coded (sRGB); alpha never is"""
-    pictures = {(id(texture.picture), srgb): texture.picture for texture, srgb in uses}
+    pictures = {
+        (id(texture.picture), srgb): texture.picture for texture, srgb in uses
+    }
     sizes = {key: level_sizes(picture) for key, picture in pictures.items()}
     areas = {key: [w * h for w, h in levels] for key, levels in sizes.items()}
     ends = np.cumsum([sum(texels) for texels in areas.values()], dtype=np.int64)
@@ -47,7 +49,9 @@ def texture_stack(uses: Sequence[tuple[Texture, bool]]) -> TextureStack:
         key = id(texture.picture), srgb
         levels, wraps = sizes[key], (_WRAPS[way] for way in texture.wrap)
         row[:OFFSETS] = *levels[0], len(levels), *wraps, texture.nearest
-        row[OFFSETS : OFFSETS + len(levels)] = np.cumsum([starts[key], *areas[key][:-1]])
+        row[OFFSETS : OFFSETS + len(levels)] = np.cumsum(
+            [starts[key], *areas[key][:-1]]
+        )
     return TextureStack(texels, table)
 
 

@@ -169,12 +169,16 @@ def nearest_faces(projection: Projection, x, y):  # pragma: no cover - compiled
         first, last = np.uintp(x0), np.uintp(max(x0, x1))
         for row in range(np.uintp(y0), np.uintp(max(y0, y1))):
             of_row = prim[row], depth[row]
-            _meet_run(f, planes, near, x[row], y[row], first, last, of_row[0], of_row[1])
+            _meet_run(
+                f, planes, near, x[row], y[row], first, last, of_row[0], of_row[1]
+            )
     return prim, depth
 
 
 @kernel(error_model="numpy")
-def nearest_faces_at(projection: Projection, slot, x, y):  # pragma: no cover - compiled
+def nearest_faces_at(
+    projection: Projection, slot, x, y
+):  # pragma: no cover - compiled
     """The same for s samples of each of n pixels: (n, s).
 
     slot : (h, w) int32, number of the pixel among those sampled, -1 = not sampled
@@ -195,7 +199,9 @@ def nearest_faces_at(projection: Projection, slot, x, y):  # pragma: no cover - 
             for column in range(np.uintp(x0), np.uintp(x1)):
                 n = slot[row, column]
                 if n >= 0:
-                    _meet_run(f, planes, near, x[n], y[n], zero, last, prim[n], depth[n])
+                    _meet_run(
+                        f, planes, near, x[n], y[n], zero, last, prim[n], depth[n]
+                    )
     return prim, depth
 
 

@@ -19,8 +19,12 @@ from arfx.stages.watercolor.labels import bucket_sites
 from arfx.stages.watercolor.sites import STEPS
 
 NEIGHBOURS = 8  # stored of a cell; a Voronoi cell has 6 on average
-REACH = 1.4  # sizes of a cell: sites that far apart have nothing to do with each other
-_MANY = 8  # below this many pixels a cell, sums over bands would cost more than they save
+REACH = (
+    1.4  # sizes of a cell: sites that far apart have nothing to do with each other
+)
+_MANY = (
+    8  # below this many pixels a cell, sums over bands would cost more than they save
+)
 _LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)
 _F = np.float32
 
@@ -39,12 +43,17 @@ def mean_colours(
         _sum_rows(image, labels, first, last, total)
         return total
 
-    total, unit = np.zeros((count, 4)), height if count * _MANY > height * width else 2
+    total, unit = (
+        np.zeros((count, 4)),
+        height if count * _MANY > height * width else 2,
+    )
     for labels in labellings:
         for part in parallel_rows(partial(sums, labels), height, unit):
             total += part
     colour = total[:, :3] / np.maximum(total[:, 3:], 1)
-    return colour.astype(np.float32), (total[:, 3] / len(labellings)).astype(np.float32)
+    return colour.astype(np.float32), (total[:, 3] / len(labellings)).astype(
+        np.float32
+    )
 
 
 @kernel()
@@ -196,4 +205,6 @@ def adjust_tone(
     thin = 1 - (1 - np.minimum(root, 1)) ** (1 + lightness)  # rounding may pass 1
     thin = deepest + (1 - deepest) * thin
     grey = (thin @ _LUMA)[:, None]
-    return np.asarray(np.clip(grey + saturation * (thin - grey), 0, 1).astype(np.float32))
+    return np.asarray(
+        np.clip(grey + saturation * (thin - grey), 0, 1).astype(np.float32)
+    )

@@ -42,7 +42,9 @@ def real_dioptre(depth_m: np.ndarray, field: SiteField) -> np.ndarray:
     few = cv2.resize(depth_m, (w, h), interpolation=cv2.INTER_AREA)
     dioptre = divide(1.0, np.maximum(few, EPS_DEPTH_M)).astype(np.float32)
     side = 2 * GRID_PX // _EVERY_PX + 1
-    mean = cv2.blur(dioptre, (side, side), borderType=cv2.BORDER_REPLICATE).reshape(h, w)
+    mean = cv2.blur(dioptre, (side, side), borderType=cv2.BORDER_REPLICATE).reshape(
+        h, w
+    )
     x, y = field.nodes()
     row = np.clip((y + 0.5) * h / depth_m.shape[0], 0, h - 1).astype(int)
     column = np.clip((x + 0.5) * w / depth_m.shape[1], 0, w - 1).astype(int)
@@ -80,7 +82,9 @@ def detail_factor(detail: np.ndarray) -> np.ndarray:
     """(gh, gw) factor on the size of cells: larger where there is little to see, smaller where
     there is much. detail : (gh, gw) 0..255"""
     fraction = np.minimum(detail / (255 * _MUCH), 1.0)
-    return np.asarray(2.0 ** (_EVEN_LEVELS - (_EVEN_LEVELS + _DETAIL_LEVELS) * fraction))
+    return np.asarray(
+        2.0 ** (_EVEN_LEVELS - (_EVEN_LEVELS + _DETAIL_LEVELS) * fraction)
+    )
 
 
 def nearness(
@@ -90,7 +94,9 @@ def nearness(
     where nothing is known."""
     dioptre = None if real_m is None else real_dioptre(real_m, field)
     if pose is None:
-        return None if dioptre is None else divide(dioptre, float(dioptre.mean()), 1.0)
+        return (
+            None if dioptre is None else divide(dioptre, float(dioptre.mean()), 1.0)
+        )
     camera_from_anchor = pose @ scene.world_from_anchor
     if dioptre is None:
         dioptre = plane_dioptre(*field.nodes(), scene.camera, camera_from_anchor)

@@ -17,7 +17,9 @@ from arfx.stages.watercolor.sites import STEPS
 TILE = 16
 PIXELS = TILE * TILE
 MIDDLE = STEPS * (TILE - 1) // 2  # of a tile, from its first pixel, 1/STEPS px
-SOLID = 255  # a pixel this far inside its cell takes nothing of its neighbour's colour
+SOLID = (
+    255  # a pixel this far inside its cell takes nothing of its neighbour's colour
+)
 STEP = 32  # sites
 EXACT = np.float32(1 << 24)  # whole numbers below it are float32's
 _FAR = np.float32(1e9)  # 1/STEPS px, farther than any site
@@ -25,7 +27,9 @@ _NONE = np.float32(1e18)  # larger than any packed number
 _MORE = np.float32(1 + 1e-5)  # squares may be rounded
 _F = np.float32
 _I = np.int32
-_U = np.uint64  # an index of this type is not looked at for a minus: loops stay simple
+_U = (
+    np.uint64
+)  # an index of this type is not looked at for a minus: loops stay simple
 _FAST = {"contract", "nsz", "nnan", "ninf"}
 
 
@@ -164,7 +168,9 @@ def pack(
 
 
 @line_kernel(fastmath=_FAST, error_model="numpy")
-def nearest(candidates: Candidates, n, unit, p, k1, n1):  # pragma: no cover - compiled
+def nearest(
+    candidates: Candidates, n, unit, p, k1, n1
+):  # pragma: no cover - compiled
     """n1 : the nearest candidate of each of a tile's positions p (2, PIXELS).
 
     The lesser packed number is the nearer site, or the one of lower number. k1 : scratch"""

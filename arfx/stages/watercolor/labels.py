@@ -61,7 +61,11 @@ class Labels:
 
         other : labels of this part, rows and columns"""
         arrays = []
-        for name, start in (("first", self.count), ("second", self.count), ("inside", 0)):
+        for name, start in (
+            ("first", self.count),
+            ("second", self.count),
+            ("inside", 0),
+        ):
             array = getattr(self, name).copy()
             if array.size:
                 np.copyto(array[part], getattr(other, name) + start, where=where)

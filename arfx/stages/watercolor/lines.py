@@ -125,12 +125,16 @@ def object_edges(
     edge = np.zeros(covered.shape, np.float32)
     # each pixel of the grid beside its neighbour below and on the right
     for axis in range(2):
-        beside = np.minimum(np.arange(covered.shape[axis]) + 1, covered.shape[axis] - 1)
+        beside = np.minimum(
+            np.arange(covered.shape[axis]) + 1, covered.shape[axis] - 1
+        )
         other, other_depth = covered.take(beside, axis), depths.take(beside, axis)
         cosine = cv2.transform(normals * normals.take(beside, axis), np.ones((1, 3)))
         near, far = np.minimum(depths, other_depth), np.maximum(depths, other_depth)
         jump = divide(far, near) - 1  # at most 0 where a depth is none
-        inner = np.fmax(_CREASE_SLOPE * (_CREASE - cosine), _JUMP_SLOPE * (jump - _JUMP))
+        inner = np.fmax(
+            _CREASE_SLOPE * (_CREASE - cosine), _JUMP_SLOPE * (jump - _JUMP)
+        )
         both = np.minimum(covered, other)
         inner = np.where(both > 0, np.clip(inner, 0, 1) * both, 0)
         edge = np.maximum(edge, np.maximum(np.abs(covered - other), inner))

@@ -22,7 +22,9 @@ from arfx.stages.watercolor.sites import FADE, STEPS, Sites
 POINTS = 16000
 _LEVELS = 9
 _FAR_PX = 1e5  # where points lie that have no place in the picture's plane
-_GRAZING = 0.2  # cosine to the viewer below which a point fades: it is about to turn away
+_GRAZING = (
+    0.2  # cosine to the viewer below which a point fades: it is about to turn away
+)
 # places on the surface, from space
 _UNROLLED = np.array([[1.0, 0.0], [0.0, 1.0], [0.6, 0.4]])
 
@@ -65,7 +67,9 @@ def _importance(points: np.ndarray, extent: float) -> np.ndarray:
     first = np.arange(len(points))
     low = points.min(0) - 0.137 * extent
     for level in range(_LEVELS + 1):
-        cell = np.floor((points[first] - low) / 2.0 ** (finest + level)).astype(np.int64)
+        cell = np.floor((points[first] - low) / 2.0 ** (finest + level)).astype(
+            np.int64
+        )
         _, number = same_rows(cell)
         order, count = np.argsort(number, kind="stable"), np.bincount(number)
         begins = np.cumsum(count) - count

@@ -81,7 +81,8 @@ def _paint_rows(
                 apart *= apart
                 like = _likeness(image[y, x], cells[k], cells[m], near)
                 mix = (
-                    _F(0.5) * near * (one - apart) + apart * min(_F(3) * near, one) * like
+                    _F(0.5) * near * (one - apart)
+                    + apart * min(_F(3) * near, one) * like
                 )
                 density += _F(0.5) * near * (cells[m, 6] - cells[k, 6])
                 # the peak on the border as a whole pixel sees it

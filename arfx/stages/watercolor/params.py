@@ -26,8 +26,12 @@ Factors = tuple[Fraction, Fraction, Fraction]
 class ToonSettings(Settings):
     """Settings that both formulas have."""
 
-    formula: str = setting("corrected", "corrected, or paper: Jia, Tang 2013 as printed")
-    cell_px: float = setting(7.0, "size of a cell, px of the picture", ge=0.5, le=4096)
+    formula: str = setting(
+        "corrected", "corrected, or paper: Jia, Tang 2013 as printed"
+    )
+    cell_px: float = setting(
+        7.0, "size of a cell, px of the picture", ge=0.5, le=4096
+    )
     toon: bool = setting(True, "three flat tones on the virtual object")
     toon_thresholds: Thresholds = setting(
         (0.5, 0.2),
@@ -67,7 +71,10 @@ class WatercolorParams(ToonSettings):
         0.02, "edge strength below which no line is drawn, coded value per px"
     )
     line_high: float = setting(
-        0.06, "edge strength from which a line is opaque, coded value per px", ge=0, le=2
+        0.06,
+        "edge strength from which a line is opaque, coded value per px",
+        ge=0,
+        le=2,
     )
     edge_darkening: Fraction = setting(
         0.45, "how much darker pigment gets at the border of a wash"

@@ -21,7 +21,9 @@ FLOW_PX = 160.0  # size of the turbulence
 WOBBLE_PX = 256  # side of the tile by which borders stray
 
 
-def smooth_noise(side: int, wavelength_px: float, rng: np.random.Generator) -> np.ndarray:
+def smooth_noise(
+    side: int, wavelength_px: float, rng: np.random.Generator
+) -> np.ndarray:
     """(side, side) float64 band of noise that repeats without a seam, variance 1; made in the
     frequency domain."""
     spectrum = np.fft.rfft2(rng.standard_normal((side, side)))

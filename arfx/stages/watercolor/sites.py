@@ -27,7 +27,9 @@ FADE = 0.19  # in levels: how long a site takes to appear
 _LATER = np.array([np.log2(1.5) / 2, np.log2(2.5) / 2, np.log2(3.5) / 2])
 _FINE = 9  # sites are placed to 2^-9 units
 _HIGHEST = 24  # a site of this level is everywhere
-Place = tuple[float, float]  # x, y in a pixel from its middle, px, in whole 1/STEPS px
+Place = tuple[
+    float, float
+]  # x, y in a pixel from its middle, px, in whole 1/STEPS px
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +77,13 @@ class SiteField:
 
     def key(self) -> Hashable:
         """What its content is known by."""
-        return self.x0, self.y0, self.u.tobytes(), self.v.tobytes(), self.size.tobytes()
+        return (
+            self.x0,
+            self.y0,
+            self.u.tobytes(),
+            self.v.tobytes(),
+            self.size.tobytes(),
+        )
 
 
 @lru_cache(maxsize=4)
@@ -91,7 +99,9 @@ def still_field(width: int, height: int, size_px: float, pad_px: int) -> SiteFie
     )
 
 
-def make_sites(field: SiteField, seed: int, limit: int, unit_px: float = 8.0) -> Sites:
+def make_sites(
+    field: SiteField, seed: int, limit: int, unit_px: float = 8.0
+) -> Sites:
     """Sites of a field, at most `limit`: where there would be more the grid is made coarser, a
     level at a time.
 
@@ -104,7 +114,9 @@ def make_sites(field: SiteField, seed: int, limit: int, unit_px: float = 8.0) ->
         nodes = field.x0, field.y0, u, v, level
         make = partial(_enumerate, nodes, np.uint64(seed), limit, float(unit_px))
         parts = parallel_rows(make, u.shape[0] - 1, least=8)
-        columns = [np.concatenate(column)[:limit] for column in zip(*parts, strict=True)]
+        columns = [
+            np.concatenate(column)[:limit] for column in zip(*parts, strict=True)
+        ]
         if len(columns[0]) < limit:
             break
         level = level + 1

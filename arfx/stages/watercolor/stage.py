@@ -37,7 +37,13 @@ from arfx.stages.watercolor.cells import (
     smooth_washes,
 )
 from arfx.stages.watercolor.field import frame_field
-from arfx.stages.watercolor.labels import EVERY_PIXEL, Labels, Wobble, label, sort_sites
+from arfx.stages.watercolor.labels import (
+    EVERY_PIXEL,
+    Labels,
+    Wobble,
+    label,
+    sort_sites,
+)
 from arfx.stages.watercolor.lines import (
     add_object_edges,
     enlarge_lines,
@@ -227,11 +233,18 @@ class Watercolor(Stage):
             size = partial(_size_at, field)
             return self._cell_set(view.level, sites, rect, wobble, size, seed)
 
-        cells: CellSet = view.memo.of_frame.get((field.key(), rect), make, "cells", _KEPT)
+        cells: CellSet = view.memo.of_frame.get(
+            (field.key(), rect), make, "cells", _KEPT
+        )
         return cells
 
     def _object_cells(
-        self, view: View, prepared: Prepared, pose: Pose, box: Rect, inside: np.ndarray
+        self,
+        view: View,
+        prepared: Prepared,
+        pose: Pose,
+        box: Rect,
+        inside: np.ndarray,
     ) -> CellSet:
         """inside (h, w) bool : pixels of `box` that the object mostly covers"""
         p, scene = self.params, view.scene
@@ -245,8 +258,15 @@ class Watercolor(Stage):
             what = wobble, lambda sorted_: sizes[sorted_.key], scene.seed + 1, inside
             return self._cell_set(view.level, sites, box, *what)
 
-        key = pose.rotation.tobytes(), pose.translation_m.tobytes(), box, inside.tobytes()
-        cells: CellSet = view.memo.of_frame.get(key, make, "cells of the object", _KEPT)
+        key = (
+            pose.rotation.tobytes(),
+            pose.translation_m.tobytes(),
+            box,
+            inside.tobytes(),
+        )
+        cells: CellSet = view.memo.of_frame.get(
+            key, make, "cells of the object", _KEPT
+        )
         return cells
 
     def _cell_set(
@@ -283,7 +303,9 @@ class Watercolor(Stage):
         rounds = ceil(ACCURACY[level].rounds * every_round)
         step = every_round / max(rounds, 1)
         contrast = 0.02 + 0.16 * p.wash
-        root = smooth_washes(mean, cells.near, cells.weight, area, contrast, rounds, step)
+        root = smooth_washes(
+            mean, cells.near, cells.weight, area, contrast, rounds, step
+        )
         root = adjust_tone(root, p.lightness, p.saturation, p.deepest)
         washes = np.column_stack([mean, root, np.float32(p.flow) * cells.flow])
         ink = np.array(p.ink_rgb, np.float32)

@@ -30,7 +30,9 @@ def toon_light(light: Light, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         best = max(lamps, key=lambda lamp: sum(lamp.rgb)).unit
     else:
         # harmonics x, y, z
-        slope = np.sum(light.soft, 1)[[3, 1, 2]] if len(light.soft) == 9 else np.zeros(3)
+        slope = (
+            np.sum(light.soft, 1)[[3, 1, 2]] if len(light.soft) == 9 else np.zeros(3)
+        )
         length = float(np.linalg.norm(slope))
         best = slope / length if length > 1e-6 else up
     return best, np.clip(light.radiance(best), 0, None)

@@ -48,8 +48,12 @@ class FilmGrain(Stage):
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
         p, image = self.params, view[Layer.IMAGE]
-        kernel = cv2.getGaussianKernel(2 * self.padding_px + 1, p.size_px / 2, cv2.CV_32F)
-        even = [view.noise(c) - np.float32(0.5) for c in range(1 if p.monochrome else 3)]
+        kernel = cv2.getGaussianKernel(
+            2 * self.padding_px + 1, p.size_px / 2, cv2.CV_32F
+        )
+        even = [
+            view.noise(c) - np.float32(0.5) for c in range(1 if p.monochrome else 3)
+        ]
         blurred = np.stack(
             [cv2.sepFilter2D(n, cv2.CV_32F, kernel, kernel) for n in even], -1
         )

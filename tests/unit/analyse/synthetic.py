@@ -54,7 +54,11 @@ def records(
     for k, (pose, t) in enumerate(zip(poses, times_s, strict=True)):
         seen = []
         for m, place in layout.items():
-            px = None if pose is None else cam.project((pose @ place).apply(m.corners_m))
+            px = (
+                None
+                if pose is None
+                else cam.project((pose @ place).apply(m.corners_m))
+            )
             noise = rng.normal(0, noise_px, (4, 2)) if noise_px else np.zeros((4, 2))
             if px is not None and visible(k, m):
                 sigma = max(claimed_px if claimed_px is not None else noise_px, 0.01)
@@ -84,7 +88,11 @@ def poster(width: int = 220, height: int = 150, seed: int = 0) -> np.ndarray:
 
 
 def hung(
-    cam: Camera, print_: np.ndarray, corners_m: np.ndarray, pose: Pose, back: np.ndarray
+    cam: Camera,
+    print_: np.ndarray,
+    corners_m: np.ndarray,
+    pose: Pose,
+    back: np.ndarray,
 ) -> np.ndarray:
     """`back` (h, w[, 3]) with a print (same channels) on it, camera_from_print: a linear
     picture, sampled 3 x 3 times a pixel.
@@ -102,10 +110,15 @@ def hung(
     m = np.stack(
         [pose.rotation[:, 0], pose.rotation[:, 1], pose.translation_m], -1
     )  # the print's plane to the camera
-    at = np.concatenate([ideal, np.ones_like(ideal[..., :1])], -1) @ np.linalg.inv(m).T
+    at = (
+        np.concatenate([ideal, np.ones_like(ideal[..., :1])], -1) @ np.linalg.inv(m).T
+    )
     h, w = print_.shape[:2]
     x, y = corners_m.max(0)[:2]
-    u, v = (at[..., 0] / at[..., 2] / x + 1) / 2, (1 - at[..., 1] / at[..., 2] / y) / 2
+    u, v = (
+        (at[..., 0] / at[..., 2] / x + 1) / 2,
+        (1 - at[..., 1] / at[..., 2] / y) / 2,
+    )
     map_ = [(u * w - 0.5).astype(np.float32), (v * h - 0.5).astype(np.float32)]
     seen = cv2.remap(print_, *map_, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     inside = ((u > 0) & (u < 1) & (v > 0) & (v < 1)).astype(np.float32)
@@ -169,16 +182,21 @@ def picture(
         x0, y0 = np.floor(corner_px.min(0)).astype(int) - 4
         x1, y1 = np.ceil(corner_px.max(0)).astype(int) + 5
         side = (cells + 2) * px
-        source = np.array([[0, 0], [side, 0], [side, side], [0, side]], np.float32) - 0.5
+        source = (
+            np.array([[0, 0], [side, 0], [side, side], [0, side]], np.float32) - 0.5
+        )
         target = ((corner_px - [x0, y0] + 0.5) * ss - 0.5).astype(np.float32)
         h = cv2.getPerspectiveTransform(source, target)
         size = ((x1 - x0) * ss, (y1 - y0) * ss)
         flags = cv2.INTER_LINEAR
         warped = cv2.warpPerspective(paper, h, size, flags=flags)
-        cover = cv2.warpPerspective(np.ones_like(paper), h, size, flags=cv2.INTER_LINEAR)
+        cover = cv2.warpPerspective(
+            np.ones_like(paper), h, size, flags=cv2.INTER_LINEAR
+        )
         small = (int(x1 - x0), int(y1 - y0))
         warped, cover = (
-            cv2.resize(a, small, interpolation=cv2.INTER_AREA) for a in (warped, cover)
+            cv2.resize(a, small, interpolation=cv2.INTER_AREA)
+            for a in (warped, cover)
         )
         a0, b0 = max(x0, 0), max(y0, 0)
         a1, b1 = min(x1, cam.width), min(y1, cam.height)

@@ -19,7 +19,9 @@ def test_a_short_clip_is_looked_at_every_half_second() -> None:
 
 
 @pytest.mark.parametrize("late_s", [0.0, 3600.0, 86400.0])
-def test_a_frame_long_after_the_others_takes_none_of_their_looks(late_s: float) -> None:
+def test_a_frame_long_after_the_others_takes_none_of_their_looks(
+    late_s: float,
+) -> None:
     times = np.append(np.arange(1800) / 30, 60 + late_s)
     assert 100 < len(looked_at(times)) <= 121
 

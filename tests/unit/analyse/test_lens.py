@@ -35,7 +35,9 @@ def blurred(pose: Pose, radius_px: float, seed: int) -> np.ndarray:
     """(h, w) uint8: the marker as a lens blurs it that is as far from all of the print."""
     light = SRGB.decode(picture(pose, CAMERA)[..., 1] / 255.0).astype(np.float32)
     if radius_px > 0.3:
-        light = cv2.filter2D(light, -1, disc(radius_px), borderType=cv2.BORDER_REPLICATE)
+        light = cv2.filter2D(
+            light, -1, disc(radius_px), borderType=cv2.BORDER_REPLICATE
+        )
     noise = np.random.default_rng(seed).normal(size=light.shape)
     return np.clip(255 * SRGB.encode(light) + 1.5 * noise, 0, 255).astype(np.uint8)
 
@@ -51,7 +53,9 @@ def analysed(
             @ rotation_from_euler_deg(0, 0, 17)
         )
         luma = blurred(
-            Pose(turn, np.array([0, 0, z])), px_per_dioptre * abs(1 / z - 1 / focus), k
+            Pose(turn, np.array([0, 0, z])),
+            px_per_dioptre * abs(1 / z - 1 / focus),
+            k,
         )
         analyser.step(AnalysisFrame(k, k / 25, luma))
     return analyser.finish()

@@ -40,7 +40,9 @@ def test_its_interval_holds_the_truth() -> None:
         fit = lens_from_blur(1 / z, edges(z, 5.0, 0.6, 0.7, 0.08, seed), 0.08)
         assert fit.known
         inside += abs(fit.focus - 1 / 0.6) < fit.focus_ci95
-    assert inside >= 51, "95 % of 60 is 57; fewer than 51 has a chance below 1 in 1,000"
+    assert inside >= 51, (
+        "95 % of 60 is 57; fewer than 51 has a chance below 1 in 1,000"
+    )
 
 
 def test_frames_blurred_by_motion_do_not_move_it() -> None:
@@ -62,7 +64,11 @@ def test_frames_blurred_by_motion_do_not_move_it() -> None:
             edges(np.linspace(0.3, 2, 50), 0.0, 1.0, 0.8, 0.05),
             "does not grow",
         ),
-        (np.repeat([0.5, 1.0], 30), np.repeat([1.0, 2.0], 30), "a parabola from a line"),
+        (
+            np.repeat([0.5, 1.0], 30),
+            np.repeat([1.0, 2.0], 30),
+            "a parabola from a line",
+        ),
         (np.linspace(0.3, 2, 50), np.full(50, np.nan), "0 edges"),
         (np.linspace(-2, -1, 50), np.full(50, 1.0), "0 edges"),
     ],

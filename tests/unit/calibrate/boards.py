@@ -35,10 +35,13 @@ def poses(
         turn = cv2.Rodrigues(np.array([0, 0, rng.uniform(-0.5, 0.5)]))[0]
         distance = rng.uniform(0.36, 0.52)
         middle = (
-            np.array([rng.uniform(-0.17, 0.17), rng.uniform(-0.12, 0.12), 1]) * distance
+            np.array([rng.uniform(-0.17, 0.17), rng.uniform(-0.12, 0.12), 1])
+            * distance
         )
         r = cv2.Rodrigues(rvec)[0] @ turn
-        out.append((cv2.Rodrigues(r)[0].ravel(), middle - r @ CHESS.corners_m.mean(0)))
+        out.append(
+            (cv2.Rodrigues(r)[0].ravel(), middle - r @ CHESS.corners_m.mean(0))
+        )
     return out
 
 
@@ -46,9 +49,9 @@ def view(
     pose: tuple[np.ndarray, np.ndarray], rng: np.random.Generator, noise_px: float = 0.1, name: str = "", camera: Camera = TRUE,
     spec: BoardSpec = CHESS,
 ) -> View:  # fmt: skip
-    pixels = cv2.projectPoints(spec.corners_m, *pose, camera.matrix, camera.distortion)[
-        0
-    ].reshape(-1, 2)
+    pixels = cv2.projectPoints(
+        spec.corners_m, *pose, camera.matrix, camera.distortion
+    )[0].reshape(-1, 2)
     pixels = pixels + rng.normal(0, noise_px, pixels.shape)
     ids = np.arange(len(pixels))
     return View(
@@ -134,7 +137,9 @@ def render(
         borderValue=120,
     )
     small = cv2.GaussianBlur(
-        cv2.resize(sampled, None, fx=1 / over, fy=1 / over, interpolation=cv2.INTER_AREA),
+        cv2.resize(
+            sampled, None, fx=1 / over, fy=1 / over, interpolation=cv2.INTER_AREA
+        ),
         (0, 0),
         blur_px,
     )

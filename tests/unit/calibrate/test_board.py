@@ -27,7 +27,9 @@ def test_corners_are_those_of_opencv() -> None:
     corners = np.asarray(charuco_board(spec).getChessboardCorners())
     # the same grid; OpenCV counts from the board's edge, one square before the first corner
     np.testing.assert_allclose(
-        spec.corners_m + np.array([spec.square_m, spec.square_m, 0]), corners, atol=1e-7
+        spec.corners_m + np.array([spec.square_m, spec.square_m, 0]),
+        corners,
+        atol=1e-7,
     )
     chess = BoardSpec.parse("chessboard:9x6:25mm")
     assert chess.corners_m.shape == (54, 3)

@@ -20,7 +20,13 @@ from arfx.calibrate.advice import (
     projection_uncertainty_px,
 )
 from arfx.calibrate.board import BoardSpec
-from arfx.calibrate.calibration import Calibration, Found, Picture, calibrate, find_board
+from arfx.calibrate.calibration import (
+    Calibration,
+    Found,
+    Picture,
+    calibrate,
+    find_board,
+)
 from arfx.calibrate.corners import View
 from arfx.calibrate.document import document, file_extras
 from arfx.calibrate.plots import write_plots
@@ -59,7 +65,9 @@ def spread_views() -> list[View]:
             view((rvec, middle - r @ CHESS.corners_m.mean(0)), rng, 0.1, f"edge{i}")
         )
     return [
-        v for v in out if (v.pixels > 0).all() and (v.pixels < np.array(SIZE) - 1).all()
+        v
+        for v in out
+        if (v.pixels > 0).all() and (v.pixels < np.array(SIZE) - 1).all()
     ]
 
 
@@ -165,12 +173,16 @@ def test_tilt_is_told_by_the_near_edge(
     fitted = fit([view(pose, np.random.default_rng(0), 0.05), *views(6)], FIRST_MODEL)
     seen = coverage(fitted)
     assert seen.tilt_deg[0] == pytest.approx(30, abs=1)
-    assert (seen.azimuth_deg[0] - azimuth + 180) % 360 - 180 == pytest.approx(0, abs=3)
+    assert (seen.azimuth_deg[0] - azimuth + 180) % 360 - 180 == pytest.approx(
+        0, abs=3
+    )
 
 
 def test_judging() -> None:
     fine = {
-        name: limit["good"] * 2 if limit["good"] > limit["poor"] else limit["good"] / 2
+        name: limit["good"] * 2
+        if limit["good"] > limit["poor"]
+        else limit["good"] / 2
         for name, limit in LIMITS.items()
     }
     assert judge(fine) == (GOOD, ())
@@ -195,7 +207,9 @@ def test_upside_down_and_copies_are_named() -> None:
 
 def test_too_few_different_views() -> None:
     v = views(1)[0]
-    with pytest.raises(NothingToDoError, match="4 of 4 pictures, 1 of them different"):
+    with pytest.raises(
+        NothingToDoError, match="4 of 4 pictures, 1 of them different"
+    ):
         calibrate(found([v] * 4))
 
 
@@ -227,23 +241,32 @@ def test_no_board_says_what_is_there_instead() -> None:
         "charuco:6x4:25mm:18mm:5X5_100"
     )  # every marker is looked up in dictionaries of a thousand
     with pytest.raises(
-        NothingToDoError, match=r"none of 1 pictures.*chessboard with 5x4 inner corners"
+        NothingToDoError,
+        match=r"none of 1 pictures.*chessboard with 5x4 inner corners",
     ):
-        find_board([Picture("a", flat(BoardSpec.parse("chessboard:5x4:20mm")))], CHESS)
+        find_board(
+            [Picture("a", flat(BoardSpec.parse("chessboard:5x4:20mm")))], CHESS
+        )
     with pytest.raises(NothingToDoError, match=r"a\.png: 10 markers of 5X5_1000"):
         find_board(
-            [Picture("a.png", flat(BoardSpec.parse("charuco:5x4:25mm:18mm:5X5_100")))],
+            [
+                Picture(
+                    "a.png", flat(BoardSpec.parse("charuco:5x4:25mm:18mm:5X5_100"))
+                )
+            ],
             CHESS,
         )
     with pytest.raises(NothingToDoError, match="no other board or marker"):
         find_board([Picture("a", np.full((200, 300), 128, np.uint8))], CHARUCO)
     with pytest.raises(NothingToDoError, match="fits charuco:6x4:25mm:18mm:5X5_50"):
         find_board(
-            [Picture("a", flat(small))], BoardSpec.parse("charuco:6x4:25mm:18mm:4X4_100")
+            [Picture("a", flat(small))],
+            BoardSpec.parse("charuco:6x4:25mm:18mm:4X4_100"),
         )
     with pytest.raises(NothingToDoError, match="fits charuco:6x4"):
         find_board(
-            [Picture("a", flat(small))], BoardSpec.parse("charuco:4x6:25mm:18mm:5X5_100")
+            [Picture("a", flat(small))],
+            BoardSpec.parse("charuco:4x6:25mm:18mm:5X5_100"),
         )
     with pytest.raises(NothingToDoError, match="no pictures"):
         find_board([], CHESS)
@@ -289,7 +312,9 @@ def test_what_cannot_be_read_or_is_of_another_kind_is_left_out_and_all_of_it_is_
     ]
     got = find_board([bad[0], *good, small, turned, bad[1]], CHESS)
     assert [v.name for v in got.views] == [g.name for g in good]
-    assert got.notices[0] == "left out: bad is damaged; worse is damaged (save it again)"
+    assert (
+        got.notices[0] == "left out: bad is damaged; worse is damaged (save it again)"
+    )
     assert (
         "small is 300x200" in got.notices[1]
         and "turned is 640x480 upside down by EXIF" in got.notices[1]

@@ -70,7 +70,8 @@ def test_a_board_upside_down_keeps_its_numbers() -> None:
             even,
             (
                 rvec,
-                np.array([0, 0, 0.45]) - cv2.Rodrigues(rvec)[0] @ even.corners_m.mean(0),
+                np.array([0, 0, 0.45])
+                - cv2.Rodrigues(rvec)[0] @ even.corners_m.mean(0),
             ),
         ),
         even,

@@ -38,11 +38,15 @@ def png(
 
 
 def markers(picture: np.ndarray, family: str) -> dict[int, np.ndarray]:
-    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary(family)).detectMarkers(picture)
+    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary(family)).detectMarkers(
+        picture
+    )
     return (
         {}
         if ids is None
-        else {int(i): c.reshape(4, 2) for i, c in zip(ids.ravel(), corners, strict=True)}
+        else {
+            int(i): c.reshape(4, 2) for i, c in zip(ids.ravel(), corners, strict=True)
+        }
     )
 
 
@@ -91,7 +95,9 @@ def test_a_board_is_found_with_the_spec_it_was_printed_from(
     scale = np.linalg.norm(view.pixels[-1] - view.pixels[0]) / np.linalg.norm(
         spec.corners_m[-1] - spec.corners_m[0]
     )
-    assert scale == pytest.approx(10000, rel=1e-3)  # edges are rounded to pixels of .1 mm
+    assert scale == pytest.approx(
+        10000, rel=1e-3
+    )  # edges are rounded to pixels of .1 mm
     if spec.kind == "charuco" and spec.rows % 2 == 0:
         assert find_view(picture, replace(spec, legacy=not spec.legacy), "") is None
 
@@ -146,8 +152,12 @@ def test_the_svg_is_in_points_and_its_paths_show_the_marker(tmp_path: Path) -> N
     path = tmp_path / "t.svg"
     write_sheet(lay_out(parse_targets(["36h11:3:100mm"]), "letter"), path)
     root, point_mm = ET.parse(path).getroot(), 25.4 / 72
-    size_pt = [float((root.get(k) or "").removesuffix("pt")) for k in ("width", "height")]
-    np.testing.assert_allclose(np.array(size_pt) * point_mm, (215.9, 279.4), atol=1e-3)
+    size_pt = [
+        float((root.get(k) or "").removesuffix("pt")) for k in ("width", "height")
+    ]
+    np.testing.assert_allclose(
+        np.array(size_pt) * point_mm, (215.9, 279.4), atol=1e-3
+    )
     drawn = [
         [
             np.array(re.findall(r"([\d.]+) ([\d.]+)", part), float) * point_mm
@@ -158,7 +168,8 @@ def test_the_svg_is_in_points_and_its_paths_show_the_marker(tmp_path: Path) -> N
     shapes = [s for s in max(drawn, key=len) if len(s)]
     np.testing.assert_allclose(np.ptp(np.concatenate(shapes), axis=0), 100, atol=1e-3)
     seen = markers(
-        255 - 255 * filled([s[:4].round(4) for s in shapes], (215.9, 279.4), 4), "36h11"
+        255 - 255 * filled([s[:4].round(4) for s in shapes], (215.9, 279.4), 4),
+        "36h11",
     )
     assert list(seen) == [3]
     texts = [t.text for t in root.iter(f"{SVG}text")]
@@ -230,7 +241,9 @@ def test_what_cannot_be_printed(specs: list[str], page: str, says: str) -> None:
 def test_a_board_too_wide_upright_goes_across() -> None:
     sheet = lay_out(parse_targets(["chessboard:9x6:25mm"]), "a4")
     assert (sheet.width_mm, sheet.height_mm) == (297, 210)
-    assert lay_out(parse_targets(["chessboard:9x6:40mm"]), "500mmx400mm").width_mm == 500
+    assert (
+        lay_out(parse_targets(["chessboard:9x6:40mm"]), "500mmx400mm").width_mm == 500
+    )
 
 
 def test_file_names_and_resolutions(tmp_path: Path) -> None:

@@ -41,7 +41,9 @@ def test_copies_count_once_and_the_sharpest_stays() -> None:
     kept, dropped = drop_copies([*blurred, *some, turned])
     assert names(kept) == names(some)
     assert sorted(names(dropped)) == ["copy0", "copy1", "turned"]
-    assert "the same view as v00" in next(d for d in dropped if d.name == "copy0").reason
+    assert (
+        "the same view as v00" in next(d for d in dropped if d.name == "copy0").reason
+    )
 
 
 def test_a_copy_does_not_make_the_uncertainty_smaller() -> None:
@@ -114,7 +116,9 @@ def test_of_a_video_the_varied_sharp_views_are_kept() -> None:
 
 def test_of_each_stretch_of_frames_the_sharpest_is_searched() -> None:
     pose = poses(1)[0]
-    frames = [(f"{b}", render(CHESS, pose, blur_px=b)) for b in (3.0, 0.7, 2.0, 2.5, 1.0)]
+    frames = [
+        (f"{b}", render(CHESS, pose, blur_px=b)) for b in (3.0, 0.7, 2.0, 2.5, 1.0)
+    ]
     assert [name for name, _ in sharpest_of_each(iter(frames), 3)] == ["0.7", "1.0"]
     assert [name for name, _ in sharpest_of_each(iter(frames), 1)] == [
         name for name, _ in frames

@@ -44,7 +44,8 @@ def test_what_no_motion_of_the_board_imitates() -> None:
     by_pose = j[:, :6]
     assert own.shape == (2 * len(v.ids), len(BROWN4.parameters))
     assert (
-        np.abs(by_pose.T @ own).max() < 1e-6 * np.abs(by_pose).max() * np.abs(own).max()
+        np.abs(by_pose.T @ own).max()
+        < 1e-6 * np.abs(by_pose).max() * np.abs(own).max()
     )
     left = own - BROWN4.by_parameters(j)
     along = by_pose @ np.linalg.lstsq(by_pose, left, rcond=None)[0]

@@ -28,7 +28,9 @@ def test_no_two_settings_have_the_same_option() -> None:
 def test_an_empty_text_is_given_but_for_a_list_of_effects() -> None:
     assert given(start="", camera="")["input"] == {"start": "", "camera": ""}
     assert not given(pipeline="")
-    assert PipelineSection.model_validate({"stages": "lightmap,"}).stages == ["lightmap"]
+    assert PipelineSection.model_validate({"stages": "lightmap,"}).stages == [
+        "lightmap"
+    ]
 
 
 @pytest.mark.parametrize(

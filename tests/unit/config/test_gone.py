@@ -12,13 +12,16 @@ from arfx.run.parameters import parameters
 
 
 @pytest.mark.parametrize(
-    ("section", "key"), [(section, key) for section, keys in GONE.items() for key in keys]
+    ("section", "key"),
+    [(section, key) for section, keys in GONE.items() for key in keys],
 )
 def test_a_setting_that_is_gone_is_told_with_its_line_and_what_replaces_it(
     section: str, key: str, tmp_path: Path
 ) -> None:
     usual = next(iter(parameters()[section].values()))
-    assert key not in usual.model_fields, "it is a setting again: take it off the list"
+    assert key not in usual.model_fields, (
+        "it is a setting again: take it off the list"
+    )
     file = tmp_path / "job.toml"
     file.write_text(
         f'[input]\nclip = "clip.mp4"\n\n[{section}]\n{key} = 1\n', encoding="utf-8"

@@ -101,12 +101,14 @@ def test_every_path_is_relative_to_the_file_that_names_it(tmp_path: Path) -> Non
     assert len(tree["input"]) >= 5 and {"path"} == tree["output"].keys()
     kept = frozen(
         load(
-            write(tmp_path, to_toml(tree)), {}, {"sky": {"corrected": Sky, "other": Sky}}
+            write(tmp_path, to_toml(tree)),
+            {},
+            {"sky": {"corrected": Sky, "other": Sky}},
         )
     )
-    assert {kept[section][key] for section, table in tree.items() for key in table} == {
-        str(tmp_path / "a")
-    }
+    assert {
+        kept[section][key] for section, table in tree.items() for key in table
+    } == {str(tmp_path / "a")}
 
 
 def test_the_command_line_wins(tmp_path: Path) -> None:
@@ -128,7 +130,10 @@ def test_a_frozen_job_reads_back_as_the_same_job(tmp_path: Path) -> None:
     job = load(write(tmp_path, GOOD), {}, TABLE)
     text = to_toml(frozen(job))
     again = load(write(tmp_path, text), {}, TABLE)
-    assert frozen(again) == frozen(job) and tomllib.loads(text)["model"]["fit"] == "0.15m"
+    assert (
+        frozen(again) == frozen(job)
+        and tomllib.loads(text)["model"]["fit"] == "0.15m"
+    )
 
 
 def test_a_frozen_job_holds_from_wherever_it_is_read() -> None:
@@ -197,7 +202,12 @@ def test_of_several_files_the_later_wins_key_by_key(tmp_path: Path) -> None:
     ("old", "new", "later", "where"),
     [
         ("aperture = 4", "apperture = 4", "[dof]\nblades = 5", "job.toml:17"),
-        ("aperture = 4", "blades = 5", "[dof]\naperture = 2\nblades = 2", "later.toml:3"),
+        (
+            "aperture = 4",
+            "blades = 5",
+            "[dof]\naperture = 2\nblades = 2",
+            "later.toml:3",
+        ),
         ("aperture = 4", "blades = 2", "[dof]\naperture = 2", "job.toml:17"),
         ('"15cm"', '"15"', "[input]\nend = 2\n[model]\nup = 'z'", "job.toml:13"),
         ('"15cm"', '"15"', "[model]\nfit = '15'", "later.toml:2"),
@@ -213,7 +223,9 @@ def test_of_several_files_errors_name_the_one_that_is_wrong(
     files[0].write_text(GOOD.replace(old, new))
     with pytest.raises(ConfigError) as e:
         load(files, {}, TABLE)
-    assert f"{where}\n" in f"{e.value}\n" and str(e.value).count(" --> ") == 1, e.value
+    assert f"{where}\n" in f"{e.value}\n" and str(e.value).count(" --> ") == 1, (
+        e.value
+    )
 
 
 def test_all_errors_are_told_at_once_and_the_command_line_is_named(
@@ -233,12 +245,13 @@ def test_all_errors_are_told_at_once_and_the_command_line_is_named(
 def test_the_formula_chooses_the_settings(tmp_path: Path) -> None:
     printed = {"formula": "paper", "near_m": 1, "blades": 5}
     job = load(None, {"dof": printed}, TABLE)
-    assert type(job.params["dof"]) is PrintedLens and job.params["dof"] == PrintedLens(
-        blades=5, near_m=1.0
-    )
+    assert type(job.params["dof"]) is PrintedLens and job.params[
+        "dof"
+    ] == PrintedLens(blades=5, near_m=1.0)
     assert frozen(load(None, {"dof": frozen(job)["dof"]}, TABLE)) == frozen(job)
     assert (
-        type(load(None, {"dof": {"formula": "corrected"}}, TABLE).params["dof"]) is Lens
+        type(load(None, {"dof": {"formula": "corrected"}}, TABLE).params["dof"])
+        is Lens
     )
     for table, says in (
         (
@@ -311,7 +324,9 @@ def test_numbers_that_no_setting_can_have_are_refused_with_their_own_name(
     with pytest.raises(ConfigError) as e:
         load(None, {"dof": {"aperture": value}}, TABLE)
     assert "dof.aperture" in str(e.value) and "command line" in str(e.value)
-    shown = str(value) if math.isfinite(value) else f"{value}".replace("Infinity", "inf")
+    shown = (
+        str(value) if math.isfinite(value) else f"{value}".replace("Infinity", "inf")
+    )
     with pytest.raises(ConfigError) as e:
         load(
             write(tmp_path, GOOD.replace("aperture = 4", f"aperture = {shown}")),
@@ -330,7 +345,9 @@ def test_numbers_that_no_setting_can_have_are_refused_with_their_own_name(
         "[input]\nend = 1979-99-99",
     ],
 )
-def test_toml_beyond_what_a_job_holds_is_one_message(tmp_path: Path, text: str) -> None:
+def test_toml_beyond_what_a_job_holds_is_one_message(
+    tmp_path: Path, text: str
+) -> None:
     with pytest.raises(ConfigError, match=r"job\.toml: not valid TOML") as e:
         load(write(tmp_path, text), {}, TABLE)
     assert len(str(e.value)) < 300
@@ -355,10 +372,14 @@ def test_sections_refuse_absurd_numbers_by_name(
         load(None, {section: {key: value}}, TABLE)
 
 
-def test_what_a_check_of_a_stage_refuses_is_told_beside_all_else(tmp_path: Path) -> None:
+def test_what_a_check_of_a_stage_refuses_is_told_beside_all_else(
+    tmp_path: Path,
+) -> None:
     text = GOOD + 'blades = 2\nname = 3\nnear = 1\n[[marker]]\nspec = "x"\n'
     with pytest.raises(ConfigError) as e:
-        load(write(tmp_path, text.replace("aperture = 4", "aperture = -1")), {}, TABLE)
+        load(
+            write(tmp_path, text.replace("aperture = 4", "aperture = -1")), {}, TABLE
+        )
     for line, says in (
         (17, "dof.aperture: Input should be greater than or equal to 0, is -1"),
         (18, "dof.blades: must be 3 or more, is 2"),
@@ -385,7 +406,9 @@ def test_settings_of_a_dataclass_are_finite(value: float) -> None:
 def test_a_table_of_a_stage_that_cannot_be_loaded_says_why(tmp_path: Path) -> None:
     why = ConfigError("stage 'mist' of one 1.2 cannot be loaded", "uninstall it")
     file = write(tmp_path, "[mist]\ndensity = 1\n")
-    with pytest.raises(ConfigError, match=r"(?s)mist.*cannot be loaded.*job.toml.*unin"):
+    with pytest.raises(
+        ConfigError, match=r"(?s)mist.*cannot be loaded.*job.toml.*unin"
+    ):
         load(file, {}, TABLE, {"mist": why})
     with pytest.raises(ConfigError, match="no section or stage 'mist'"):
         load(file, {}, TABLE)

@@ -40,7 +40,9 @@ sub/ü.mov,,x.mkv,,,,,false
 """
 
 
-def read(path: Path, text: str, over: dict[str, Any] | None = None) -> list[JobConfig]:
+def read(
+    path: Path, text: str, over: dict[str, Any] | None = None
+) -> list[JobConfig]:
     path.write_text(text, encoding="utf-8")
     return [
         load(files, over or {}, parameters())
@@ -65,9 +67,10 @@ def test_a_job_is_laid_over_what_all_share(tmp_path: Path) -> None:
         and second.model.up == "z"
         and second.model.rotate == (0, 0, 90)
     )
-    assert [m.key for m in second.markers] == ["36h11:3", "36h11:4"] and second.params[
-        "light"
-    ].most_lights == 1
+    assert [m.key for m in second.markers] == [
+        "36h11:3",
+        "36h11:4",
+    ] and second.params["light"].most_lights == 1
     assert second.sources == (tmp_path / "m.toml",)
 
 
@@ -106,7 +109,9 @@ def test_columns_are_options_and_settings(tmp_path: Path, separator: str) -> Non
         .replace('"0cm,2cm,0cm"', "0cm/2cm/0cm")
         .replace(",", separator)
     )
-    first, second = read(tmp_path / "m.csv", text.replace("0cm/2cm/0cm", "0cm,2cm,0cm"))
+    first, second = read(
+        tmp_path / "m.csv", text.replace("0cm/2cm/0cm", "0cm,2cm,0cm")
+    )
     assert (
         first.input.camera == tmp_path / "left.yaml"
         and first.model.fit == 0.1
@@ -154,7 +159,9 @@ WRONG = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_what_is_wrong_is_said_with_file_line_and_key(tmp_path: Path, name: str) -> None:
+def test_what_is_wrong_is_said_with_file_line_and_key(
+    tmp_path: Path, name: str
+) -> None:
     file, text, parts = WRONG[name]
     with pytest.raises(ConfigError) as e:
         read(tmp_path / file, text)

@@ -53,9 +53,9 @@ def test_fisheye_is_cv2_fisheye() -> None:
     d = np.array([0.04, -0.02, 0.01, -0.003])
     camera = Camera(1920, 1080, K, d, FISHEYE)
     p = points()
-    reference = cv2.fisheye.projectPoints(p[:, None], np.zeros(3), np.zeros(3), K, d)[0][
-        :, 0
-    ]
+    reference = cv2.fisheye.projectPoints(p[:, None], np.zeros(3), np.zeros(3), K, d)[
+        0
+    ][:, 0]
     np.testing.assert_allclose(camera.project(p), reference, atol=1e-8)
     np.testing.assert_allclose(
         camera.normalised(reference), p[:, :2] / p[:, 2:], atol=1e-9
@@ -71,15 +71,21 @@ def test_a_fisheye_has_directions_up_to_its_side(tilt_deg: float) -> None:
     np.testing.assert_allclose(camera.normalised(pixels), ideal, rtol=1e-8, atol=1e-8)
 
 
-def test_fisheye_without_coefficients_holds_the_four_zeros_that_opencv_wants() -> None:
+def test_fisheye_without_coefficients_holds_the_four_zeros_that_opencv_wants() -> (
+    None
+):
     bare = Camera(1920, 1080, K, np.zeros(0), FISHEYE)
     ideal = cv2.fisheye.undistortPoints(
         bare.project(points())[:, None], bare.matrix, bare.distortion
     )[:, 0]
-    np.testing.assert_allclose(ideal, bare.normalised(bare.project(points())), atol=1e-6)
+    np.testing.assert_allclose(
+        ideal, bare.normalised(bare.project(points())), atol=1e-6
+    )
 
 
-def test_points_behind_or_beyond_the_fold_are_not_projected_into_the_picture() -> None:
+def test_points_behind_or_beyond_the_fold_are_not_projected_into_the_picture() -> (
+    None
+):
     camera = Camera(
         640,
         480,
@@ -87,7 +93,9 @@ def test_points_behind_or_beyond_the_fold_are_not_projected_into_the_picture() -
         np.array([-0.3, 0, 0, 0]),
     )
     assert np.isfinite(camera.max_radius)
-    beyond = np.array([[camera.max_radius * 1.05, 0, 1.0], [camera.max_radius * 3, 0, 1]])
+    beyond = np.array(
+        [[camera.max_radius * 1.05, 0, 1.0], [camera.max_radius * 3, 0, 1]]
+    )
     assert np.isnan(camera.project(beyond)).all(), (
         "the polynomial folds back: these would reappear inside"
     )
@@ -99,7 +107,8 @@ def test_points_behind_or_beyond_the_fold_are_not_projected_into_the_picture() -
 
 
 @pytest.mark.parametrize(
-    ("distortion", "model"), [((-0.3, 0, 0, 0), BROWN), ((-0.1, 0.02, 0.0, 0.0), FISHEYE)]
+    ("distortion", "model"),
+    [((-0.3, 0, 0, 0), BROWN), ((-0.1, 0.02, 0.0, 0.0), FISHEYE)],
 )
 def test_a_pixels_direction_is_the_same_bits_whatever_pixels_are_beside_it(
     distortion: tuple[float, ...], model: str

@@ -30,7 +30,9 @@ def test_pq_is_light_of_the_display(name: str, coded: float, cd_m2: float) -> No
 
 def test_hlg_is_light_of_the_scene_with_diffuse_white_at_three_quarters() -> None:
     white = (math.exp((0.75 - C) / A) + B) / 12
-    assert 1000 * white**1.2 == pytest.approx(203, rel=2e-3), "on a display of 1000 cd/m2"
+    assert 1000 * white**1.2 == pytest.approx(203, rel=2e-3), (
+        "on a display of 1000 cd/m2"
+    )
     t = Transfer("hlg")
     for coded, scene in (
         (0.0, 0.0),
@@ -39,7 +41,9 @@ def test_hlg_is_light_of_the_scene_with_diffuse_white_at_three_quarters() -> Non
         (0.75, white),
         (1, 1),
     ):
-        assert float(t.decode(np.array(coded))) == pytest.approx(scene / white, abs=1e-6)
+        assert float(t.decode(np.array(coded))) == pytest.approx(
+            scene / white, abs=1e-6
+        )
 
 
 @pytest.mark.parametrize("name", ["hlg", "pq"])

@@ -82,7 +82,9 @@ def test_a_read_only_package_uses_the_users_folder_and_what_was_compiled_since_s
         compiled.code_folder(tree) == kept
         and (kept / "a.f-1.py311.nbi").read_bytes() == b"index of more"
     )
-    (tree / "__pycache__" / "a.f-1.py311.1.nbc").write_bytes(b"code of another release")
+    (tree / "__pycache__" / "a.f-1.py311.1.nbc").write_bytes(
+        b"code of another release"
+    )
     compiled.code_folder.cache_clear()
     assert (
         compiled.code_folder(tree) / "a.f-1.py311.1.nbc"
@@ -132,8 +134,12 @@ def function(file: Path, source: str, **known: object) -> FunctionType:
     return module["f"]
 
 
-CALLER = "from arfx.callee import (\n    g,\n    SIZE,\n)\nfrom arfx.size import OTHER\n"
-CALLEE = "from arfx.size import SIZE\n@line_kernel()\ndef g(x):\n    return x + SIZE\n"
+CALLER = (
+    "from arfx.callee import (\n    g,\n    SIZE,\n)\nfrom arfx.size import OTHER\n"
+)
+CALLEE = (
+    "from arfx.size import SIZE\n@line_kernel()\ndef g(x):\n    return x + SIZE\n"
+)
 
 
 @pytest.fixture
@@ -141,7 +147,11 @@ def stamp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]
     """The stamp of a function in `caller`, which imports of `callee`, as that of `size`."""
 
     def stamped(**texts: str) -> str:
-        texts = {"caller": CALLER, "callee": CALLEE, "size": "SIZE = OTHER = 3\n"} | texts
+        texts = {
+            "caller": CALLER,
+            "callee": CALLEE,
+            "size": "SIZE = OTHER = 3\n",
+        } | texts
         for name, text in texts.items():
             file = tmp_path / f"{name}.py"
             file.write_text(text)
@@ -151,7 +161,9 @@ def stamp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]
         compiled._stamp.cache_clear()
         compiled._text.cache_clear()
         made = function(tmp_path / "f.py", "def f():\n    return 0\n")
-        return compiled.CacheLocator(made, str(tmp_path / "caller.py")).get_source_stamp()
+        return compiled.CacheLocator(
+            made, str(tmp_path / "caller.py")
+        ).get_source_stamp()
 
     yield stamped
     compiled._stamp.cache_clear()

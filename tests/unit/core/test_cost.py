@@ -39,13 +39,17 @@ def test_a_prediction_is_the_price_of_its_terms_and_carries_its_interval() -> No
 
 
 def test_prices_of_another_machine_are_wide() -> None:
-    shipped = Prices(PRICES.prices, calibrated=False).predict("dof/draft", {"frames": 1})
+    shipped = Prices(PRICES.prices, calibrated=False).predict(
+        "dof/draft", {"frames": 1}
+    )
     assert shipped is not None and shipped.high_s / shipped.seconds == pytest.approx(
         math.exp(1.645 * UNCALIBRATED)
     )
 
 
-def test_independent_errors_add_in_quadrature_and_what_was_measured_adds_none() -> None:
+def test_independent_errors_add_in_quadrature_and_what_was_measured_adds_none() -> (
+    None
+):
     a, b = with_spread(3.0, 0.1), with_spread(4.0, 0.1)
     s = sum_independent([a, b, measured(2.0)])
     assert s.seconds == pytest.approx(9.0)
@@ -77,7 +81,10 @@ def test_the_shipped_list_prices_every_stage_at_every_level() -> None:
                 f"{name}/{level}",
                 {"frames": 1, "mpx": 0.5, "object_mpx": 0.1, "mfaces": 0.006},
             )
-            assert found is not None and 0 <= found.low_s <= found.seconds <= found.high_s
+            assert (
+                found is not None
+                and 0 <= found.low_s <= found.seconds <= found.high_s
+            )
             prepared = [
                 key for key in shipped.prices if key.startswith(f"prepare {name}/")
             ]

@@ -81,7 +81,9 @@ def test_a_file_known_by_its_identity_alone_is_the_same_file(
 def test_what_stands_there_is_replaced_only_when_asked(tmp_path: Path) -> None:
     out = tmp_path / "out.mp4"
     Guard(()).file(out)
-    out.symlink_to(tmp_path / "nowhere")  # a link that leads to nothing is something too
+    out.symlink_to(
+        tmp_path / "nowhere"
+    )  # a link that leads to nothing is something too
     with pytest.raises(ConfigError, match="exists"):
         Guard(()).file(out)
     Guard((), True).file(out)
@@ -94,7 +96,9 @@ def test_what_stands_there_is_replaced_only_when_asked(tmp_path: Path) -> None:
         Guard((), True).file(tmp_path / "none" / "out.mp4")
 
 
-def test_a_file_of_somebody_else_is_not_replaced_even_when_asked(tmp_path: Path) -> None:
+def test_a_file_of_somebody_else_is_not_replaced_even_when_asked(
+    tmp_path: Path,
+) -> None:
     report = tmp_path / "report.html"
     report.write_text("<html>of other tests")
     with pytest.raises(ConfigError, match="not written by arfx"):
@@ -147,7 +151,9 @@ def test_a_folder_of_our_own_holds_no_input(clip: Path, tmp_path: Path) -> None:
         "/".join(["d" * 200] * 30) + "/o.mp4",
     ],
 )
-def test_a_name_that_the_system_does_not_take_is_said(tmp_path: Path, name: str) -> None:
+def test_a_name_that_the_system_does_not_take_is_said(
+    tmp_path: Path, name: str
+) -> None:
     with pytest.raises(ConfigError, match=r"too long|cannot be a file's name") as e:
         check_file_name(tmp_path / name)
     assert len(str(e.value)) < 400

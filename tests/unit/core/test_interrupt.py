@@ -27,7 +27,10 @@ def test_a_signal_that_is_swallowed_is_raised_again() -> None:
             press(signal.SIGTERM)
         with pytest.raises(KeyboardInterrupt):
             interrupt.check()
-        assert (interrupt.exit_code(), interrupt.cause()) == (143, "stopped by SIGTERM")
+        assert (interrupt.exit_code(), interrupt.cause()) == (
+            143,
+            "stopped by SIGTERM",
+        )
         interrupt._now.number = 0
     interrupt.check()
 
@@ -99,7 +102,9 @@ def test_an_output_that_cannot_be_put_in_place_settles_nothing() -> None:
 
 
 def test_ignored_and_own_handlers_stay() -> None:
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # nohup, a script's background
+    before = signal.signal(
+        signal.SIGINT, signal.SIG_IGN
+    )  # nohup, a script's background
     try:
         with interrupt.catching():
             press()
@@ -182,7 +187,11 @@ def test_a_signal_while_python_starts_arfx_is_not_lost() -> None:
         ("SIGTERM", 143, "stopped by SIGTERM"),
     ):
         done = run(code.format(number))
-        assert (done.returncode, done.stdout, done.stderr) == (code_, "", cause + "\n")
+        assert (done.returncode, done.stdout, done.stderr) == (
+            code_,
+            "",
+            cause + "\n",
+        )
 
 
 def test_a_worker_ends_with_its_parent() -> None:

@@ -18,9 +18,9 @@ COC = 0.035
 
 def test_numbers_as_they_should_be() -> None:
     d = depth_of_field(EXAMPLE, COC)
-    assert d.front_mm == pytest.approx(54.1451, abs=1e-4) and d.back_mm == pytest.approx(
-        56.5967, abs=1e-4
-    )
+    assert d.front_mm == pytest.approx(
+        54.1451, abs=1e-4
+    ) and d.back_mm == pytest.approx(56.5967, abs=1e-4)
     assert (
         d.front_mm is not None
         and d.back_mm is not None
@@ -81,9 +81,13 @@ def test_focus_at_infinity() -> None:
     lens = Lens(200.0, 11.0, math.inf)
     assert lens.coc_at_infinity_mm == 0.0
     assert circle_of_confusion_mm(np.inf, lens) == 0.0
-    assert circle_of_confusion_mm(10_000.0, lens) == pytest.approx(200.0**2 / 11 / 10_000)
+    assert circle_of_confusion_mm(10_000.0, lens) == pytest.approx(
+        200.0**2 / 11 / 10_000
+    )
     far = float(circle_of_confusion_mm(10_000.0, Lens(200.0, 11.0, 1e12)))
-    assert far == pytest.approx(float(circle_of_confusion_mm(10_000.0, lens)), rel=1e-6)
+    assert far == pytest.approx(
+        float(circle_of_confusion_mm(10_000.0, lens)), rel=1e-6
+    )
 
 
 @pytest.mark.parametrize("step", [-1e-9, 0.0, 1e-9])

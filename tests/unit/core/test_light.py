@@ -12,7 +12,9 @@ from arfx.core.pose import rotation_from_euler_deg
 
 RNG = np.random.default_rng(1)
 NORMALS = normalise(RNG.normal(size=(300, 3)))
-SOFT = tuple(map(tuple, RNG.normal(scale=0.05, size=(9, 3)) + np.eye(9)[0][:, None] * 2))
+SOFT = tuple(
+    map(tuple, RNG.normal(scale=0.05, size=(9, 3)) + np.eye(9)[0][:, None] * 2)
+)
 LIGHT = Light(
     (0.5, 0.5, 0.5),
     (DirectionalLight((0.6, 0.0, 0.8), (0.5, 0.4, 0.3), 8.0, 2.0),),
@@ -30,7 +32,9 @@ def test_harmonics_are_orthonormal() -> None:
     r = np.sqrt(1 - zz**2)
     h = harmonics(np.stack([r * np.cos(pp), r * np.sin(pp), zz], -1))
     weights = np.repeat(w[:, None], 12, 1) * np.pi / 6
-    assert np.abs(np.einsum("ijk,ijl,ij->kl", h, h, weights) - np.eye(9)).max() < 1e-12
+    assert (
+        np.abs(np.einsum("ijk,ijl,ij->kl", h, h, weights) - np.eye(9)).max() < 1e-12
+    )
 
 
 def test_a_turned_light_lights_turned_surfaces_alike() -> None:

@@ -25,8 +25,12 @@ def test_numbers_are_even_over_their_range() -> None:
     )
 
 
-@pytest.mark.parametrize("other", ["right", "below", "channel", "frame", "stage", "seed"])
-def test_neighbours_channels_frames_stages_and_seeds_are_independent(other: str) -> None:
+@pytest.mark.parametrize(
+    "other", ["right", "below", "channel", "frame", "stage", "seed"]
+)
+def test_neighbours_channels_frames_stages_and_seeds_are_independent(
+    other: str,
+) -> None:
     n = noise(RECT, KEY)
     second = {
         "right": np.roll(n, 1, 1), "below": np.roll(n, 1, 0), "channel": noise(RECT, KEY, 1),

@@ -24,7 +24,9 @@ from arfx.media.cameras import load_camera
 from arfx.media.depth_maps import open_depth
 
 
-def test_devices_pipes_sockets_and_folders_are_refused_unopened(tmp_path: Path) -> None:
+def test_devices_pipes_sockets_and_folders_are_refused_unopened(
+    tmp_path: Path,
+) -> None:
     os.mkfifo(tmp_path / "pipe")
     with socket.socket(socket.AF_UNIX) as s:
         here = Path.cwd()
@@ -113,7 +115,9 @@ def test_every_limit_is_documented() -> None:
         ), kind
 
 
-@pytest.mark.parametrize("name", ["n" * 300, "a\0b", "nowhere", "n" * 300 + ".yaml#cam1"])
+@pytest.mark.parametrize(
+    "name", ["n" * 300, "a\0b", "nowhere", "n" * 300 + ".yaml#cam1"]
+)
 def test_a_name_that_cannot_be_looked_up_is_one_message(
     tmp_path: Path, name: str
 ) -> None:
@@ -133,7 +137,9 @@ def test_a_folder_is_listed_without_what_is_hidden_or_refused(
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(Path, "iterdir", refused)
-    with pytest.raises(InputError, match=r"folder .* cannot be read: Permission denied"):
+    with pytest.raises(
+        InputError, match=r"folder .* cannot be read: Permission denied"
+    ):
         folder_entries(tmp_path)
 
 

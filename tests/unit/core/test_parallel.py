@@ -30,7 +30,9 @@ def test_bands_come_in_order_whoever_does_them_and_errors_come_out() -> None:
 def test_a_map_keeps_the_order_of_its_items(monkeypatch: pytest.MonkeyPatch) -> None:
     for cores in (1, 3):
         monkeypatch.setattr("arfx.core.parallel._threads", lambda cores=cores: cores)
-        assert parallel_map(lambda n: n * n, range(100)) == [n * n for n in range(100)]
+        assert parallel_map(lambda n: n * n, range(100)) == [
+            n * n for n in range(100)
+        ]
 
 
 def test_a_map_within_a_map_waits_for_no_thread() -> None:

@@ -14,10 +14,14 @@ from arfx.core.pose import (
     rotvec_from_rotation,
 )
 
-AXES = np.vstack([np.eye(3), -np.eye(3), np.random.default_rng(0).normal(size=(20, 3))])
+AXES = np.vstack(
+    [np.eye(3), -np.eye(3), np.random.default_rng(0).normal(size=(20, 3))]
+)
 AXES /= np.linalg.norm(AXES, axis=1, keepdims=True)
 NEAR = [
-    s * d for d in (0.0, 1e-12, 1e-10, 1e-8, 1e-6, 1e-4, 1.0001e-4, 1e-2) for s in (1, -1)
+    s * d
+    for d in (0.0, 1e-12, 1e-10, 1e-8, 1e-6, 1e-4, 1.0001e-4, 1e-2)
+    for s in (1, -1)
 ]
 
 
@@ -52,8 +56,12 @@ def test_euler_turns_about_x_then_y_then_z() -> None:
 
 def test_pose_composition_inverse_and_json() -> None:
     rng = np.random.default_rng(2)
-    a, b = (Pose.from_rotvec(rng.normal(size=3), rng.normal(size=3)) for _ in range(2))
+    a, b = (
+        Pose.from_rotvec(rng.normal(size=3), rng.normal(size=3)) for _ in range(2)
+    )
     p = rng.normal(size=(5, 3))
     np.testing.assert_allclose((a @ b).apply(p), a.apply(b.apply(p)), atol=1e-14)
     np.testing.assert_allclose(a.inverse().apply(a.apply(p)), p, atol=1e-14)
-    np.testing.assert_allclose(Pose.from_json(a.to_json()).matrix, a.matrix, atol=1e-14)
+    np.testing.assert_allclose(
+        Pose.from_json(a.to_json()).matrix, a.matrix, atol=1e-14
+    )

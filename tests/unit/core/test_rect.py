@@ -49,7 +49,8 @@ def test_slices_in_cuts_the_same_pixels(a: Rect, b: Rect) -> None:
     yy, xx = np.mgrid[outer.y0 : outer.y1, outer.x0 : outer.x1]
     part = a.slices_in(outer)
     assert {
-        (int(x), int(y)) for x, y in zip(xx[part].ravel(), yy[part].ravel(), strict=True)
+        (int(x), int(y))
+        for x, y in zip(xx[part].ravel(), yy[part].ravel(), strict=True)
     } == pixels(a)
 
 

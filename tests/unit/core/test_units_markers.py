@@ -77,11 +77,18 @@ def test_every_family_exists_in_opencv_with_that_many_ids() -> None:
 
 def test_marker_specs() -> None:
     m = MarkerSpec.parse("tag36h11:3:165.1mm")
-    assert (m.key, m.size_m) == ("36h11:3", pytest.approx(0.1651)) and MarkerSpec.parse(
-        str(m)
-    ) == m
+    assert (m.key, m.size_m) == (
+        "36h11:3",
+        pytest.approx(0.1651),
+    ) and MarkerSpec.parse(str(m)) == m
     assert np.allclose(m.corners_m[0], [-0.08255, 0.08255, 0])
-    for bad in ("36h11:3", "36h11:x:1cm", "36h11:587:1cm", "36h11:3:0mm", "nope:1:1cm"):
+    for bad in (
+        "36h11:3",
+        "36h11:x:1cm",
+        "36h11:587:1cm",
+        "36h11:3:0mm",
+        "nope:1:1cm",
+    ):
         with pytest.raises(ConfigError):
             MarkerSpec.parse(bad)
 
@@ -116,7 +123,13 @@ def test_guarded_operations_on_hard_values() -> None:
     assert np.isfinite(
         normalise(
             np.array(
-                [[0.0, 0, 0], [1e-300, 0, 0], [np.inf, 1, 0], [np.nan, 0, 0], [3, 4, 0]]
+                [
+                    [0.0, 0, 0],
+                    [1e-300, 0, 0],
+                    [np.inf, 1, 0],
+                    [np.nan, 0, 0],
+                    [3, 4, 0],
+                ]
             )
         )
     ).all()

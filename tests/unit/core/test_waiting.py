@@ -12,7 +12,9 @@ from arfx.core.waiting import wait_for
 from arfx.errors import InputError
 
 
-def test_what_the_work_returns_or_raises_comes_back_and_short_work_says_nothing() -> None:
+def test_what_the_work_returns_or_raises_comes_back_and_short_work_says_nothing() -> (
+    None
+):
     told: list[tuple[str, int, int | None]] = []
     assert wait_for("model", lambda: 3, lambda *a: told.append(a)) == 3 and not told
 

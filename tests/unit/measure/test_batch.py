@@ -15,7 +15,11 @@ from arfx.run.pages import jpeg
 
 
 def row(
-    home: Path, name: str, code: int = 0, message: str = "30 frames", picture: bool = True
+    home: Path,
+    name: str,
+    code: int = 0,
+    message: str = "30 frames",
+    picture: bool = True,
 ) -> dict[str, Any]:
     report = home / name / "report.html"
     if not code:
@@ -48,9 +52,14 @@ def test_links_and_names_are_escaped_and_relative(tmp_path: Path) -> None:
     assert "1 of 5" in text and re.search(r"3\s+not begun", text) and "exit 3" in text
 
 
-def test_thumbnails_are_thinned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_thumbnails_are_thinned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(batch, "THUMBNAILS", 2)
-    rows = [row(tmp_path, "a", picture=False), *(row(tmp_path, name) for name in "bcd")]
+    rows = [
+        row(tmp_path, "a", picture=False),
+        *(row(tmp_path, name) for name in "bcd"),
+    ]
     html = batch.page(rows, 4, tmp_path)
     assert html.count('class="thumbnail"') == 1, (
         "of the first two, one of which has no picture"

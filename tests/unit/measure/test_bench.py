@@ -35,7 +35,9 @@ class Sleeper(Stage):
         return level
 
     def run(self, view: Any, prepared: str) -> dict:
-        assert prepared == view.level, "each level is run with what was prepared for it"
+        assert prepared == view.level, (
+            "each level is run with what was prepared for it"
+        )
         time.sleep({"draft": 0.002, "standard": 0.02, "reference": 0.08}[prepared])
         return {Layer.IMAGE: view[Layer.IMAGE] * 0.5}
 
@@ -65,9 +67,13 @@ def test_it_covers_a_tenth_of_the_picture(size: tuple[int, int]) -> None:
     pose = at.facts.camera_from_world
     assert pose is not None
     outline = cv2.convexHull(
-        at.scene.camera.project(pose.apply(at.scene.model_points_m)).astype(np.float32)
+        at.scene.camera.project(pose.apply(at.scene.model_points_m)).astype(
+            np.float32
+        )
     )
-    assert cv2.contourArea(outline) / (size[0] * size[1]) == pytest.approx(0.1, rel=0.02)
+    assert cv2.contourArea(outline) / (size[0] * size[1]) == pytest.approx(
+        0.1, rel=0.02
+    )
     assert at.scene.model_points_m[:, 2].min() == pytest.approx(0, abs=1e-9), (
         "it stands on the plane"
     )

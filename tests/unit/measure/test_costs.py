@@ -44,15 +44,16 @@ def test_coefficients_come_back_and_none_is_negative() -> None:
     ] == pytest.approx(0.2)
     noisy = fit(runs(0.3), ("frames", "mpx", "object_mpx", "mfaces"))
     assert (
-        all(c >= 0 for c in noisy.coefficients.values()) and noisy.spread > exact.spread
+        all(c >= 0 for c in noisy.coefficients.values())
+        and noisy.spread > exact.spread
     )
 
 
 def test_a_run_that_was_disturbed_does_not_take_the_price_with_it() -> None:
     found = fit(runs(0.05, 14, outliers=2), ("frames", "mpx", "object_mpx"))
-    assert found.seconds({"frames": 1, "mpx": 0.5, "object_mpx": 0.1}) == pytest.approx(
-        0.043, rel=0.35
-    )
+    assert found.seconds(
+        {"frames": 1, "mpx": 0.5, "object_mpx": 0.1}
+    ) == pytest.approx(0.043, rel=0.35)
     assert found.spread > 0.2, "and the interval tells of it"
 
 
@@ -96,7 +97,9 @@ def test_calibration_times_what_it_prices(
     }
     assert at["draft"].seconds < at["standard"].seconds < 0.2
     assert "encode h264" not in prices.prices and "raster/draft" not in prices.prices
-    monkeypatch.setattr(costs, "prices_file", lambda: tmp_path / "cache" / "costs.json")
+    monkeypatch.setattr(
+        costs, "prices_file", lambda: tmp_path / "cache" / "costs.json"
+    )
     back = load_prices(save_prices(prices))
     assert back.calibrated and set(back.prices) == set(prices.prices)
 

@@ -13,9 +13,9 @@ BLACK, WHITE = np.zeros((12, 14, 3), np.uint8), np.full((12, 14, 3), 255, np.uin
 def pair(h: int, w: int, noise: float = 12) -> tuple[np.ndarray, np.ndarray]:
     r = np.random.default_rng(0)
     a = r.integers(0, 256, (h, w, 3))
-    return a.astype(np.uint8), np.clip(a + r.normal(0, noise, a.shape), 0, 255).astype(
-        np.uint8
-    )
+    return a.astype(np.uint8), np.clip(
+        a + r.normal(0, noise, a.shape), 0, 255
+    ).astype(np.uint8)
 
 
 def test_equal_pictures_differ_by_nothing_and_black_from_white_by_the_most() -> None:
@@ -27,7 +27,9 @@ def test_equal_pictures_differ_by_nothing_and_black_from_white_by_the_most() -> 
     )
     assert flip_map(BLACK, WHITE) == pytest.approx(0.9674, abs=1e-3)
     assert delta_e(BLACK, WHITE) == pytest.approx(100, abs=1e-3)
-    assert ssim_map(BLACK, WHITE) == pytest.approx(1e-4, abs=1e-6), "C1 / (255^2 + C1)"
+    assert ssim_map(BLACK, WHITE) == pytest.approx(1e-4, abs=1e-6), (
+        "C1 / (255^2 + C1)"
+    )
 
 
 def test_every_figure_grows_with_the_difference() -> None:
@@ -57,12 +59,15 @@ def test_a_mask_gives_the_numbers_of_the_whole_picture() -> None:
         a[28:37, 33:49], b[28:37, 33:49]
     )  # without the surroundings they are others: the reach is needed
     assert (
-        np.abs(narrower - flip_map(a, b)[28:37, 33:49]).max() > 1e-2 and MARGIN_PX >= 10
+        np.abs(narrower - flip_map(a, b)[28:37, 33:49]).max() > 1e-2
+        and MARGIN_PX >= 10
     )
 
 
 def test_a_picture_smaller_than_the_filters_has_its_figures_too() -> None:
     d = difference(BLACK[:3, :4], WHITE[:3, :4], np.ones((3, 4), bool))
     assert (
-        d.mean == 255 and 0 <= d.ssim < 0.01 and d.delta_e == pytest.approx(100, abs=1e-3)
+        d.mean == 255
+        and 0 <= d.ssim < 0.01
+        and d.delta_e == pytest.approx(100, abs=1e-3)
     )

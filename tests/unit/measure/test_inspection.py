@@ -57,7 +57,9 @@ def sheet(
             20 + cells // 255 * 200, np.ones((12, 12))
         )
     noise = np.random.default_rng(1).normal(0, 2, page.shape)
-    return np.clip(cv2.GaussianBlur(page, (0, 0), 1.0) + noise, 0, 255).astype(np.uint8)
+    return np.clip(cv2.GaussianBlur(page, (0, 0), 1.0) + noise, 0, 255).astype(
+        np.uint8
+    )
 
 
 def looked_at(*frames: np.ndarray) -> tuple[list[str], list[str]]:
@@ -192,7 +194,11 @@ def test_prints_of_other_sizes_in_one_plane_have_a_size_of_their_own() -> None:
     luma = cv2.warpPerspective(page, h, (640, 480), borderValue=230)
     seen: dict[str, Found] = {}
     _record(
-        seen, MarkerDetector(SCANNED_FAMILIES, MIN_SIDE_PX).search(luma), 0, luma, None
+        seen,
+        MarkerDetector(SCANNED_FAMILIES, MIN_SIDE_PX).search(luma),
+        0,
+        luma,
+        None,
     )
     first, small, same = (seen[k] for k in ("36h11:7", "4X4_1000:3", "36h11:5"))
     assert relative_size(first, small) == pytest.approx(0.75, abs=0.02)

@@ -71,9 +71,13 @@ def test_a_folder_that_is_not_there_is_said(tmp_path: Path) -> None:
     assert not disk.ok and disk.fix
 
 
-def test_a_plug_in_that_does_not_load_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_plug_in_that_does_not_load_is_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     broken = {
-        "mist": ConfigError("stage 'mist' of one 1.2 cannot be loaded", "uninstall it")
+        "mist": ConfigError(
+            "stage 'mist' of one 1.2 cannot be loaded", "uninstall it"
+        )
     }
     monkeypatch.setattr(
         machine,

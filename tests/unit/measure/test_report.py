@@ -85,13 +85,17 @@ class Links(html.parser.HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.addresses += [
-            v or "" for k, v in attrs if k in ("src", "href", "srcset", "action", "data")
+            v or ""
+            for k, v in attrs
+            if k in ("src", "href", "srcset", "action", "data")
         ]
         if tag not in self.VOID:
             self.open.append(tag)
 
     def handle_endtag(self, tag: str) -> None:
-        assert self.open and self.open.pop() == tag, f"</{tag}> closes another element"
+        assert self.open and self.open.pop() == tag, (
+            f"</{tag}> closes another element"
+        )
 
 
 def test_the_page_is_self_contained_escaped_and_well_formed(tmp_path: Path) -> None:
@@ -103,7 +107,9 @@ def test_the_page_is_self_contained_escaped_and_well_formed(tmp_path: Path) -> N
     links = Links()
     links.feed(text)
     assert not links.open
-    assert links.addresses and all(a.startswith("data:image/") for a in links.addresses)
+    assert links.addresses and all(
+        a.startswith("data:image/") for a in links.addresses
+    )
     assert "http://" not in text and "https://" not in text and "url(" not in text
     assert "<script>alert" not in text and "&lt;script&gt;alert(1)" in text
     assert "a&lt;b&gt;&amp;.mp4" in text and "marker &lt;not&gt; visible" in text
@@ -117,7 +123,9 @@ def test_the_pictures_in_the_page_are_the_given_ones(tmp_path: Path) -> None:
     import cv2
 
     text = write_report(tmp_path, REPORT, six(), pictures()).read_text()
-    data = re.findall(r'class="(in|out)"[^>]*src="data:image/jpeg;base64,([^"]+)"', text)
+    data = re.findall(
+        r'class="(in|out)"[^>]*src="data:image/jpeg;base64,([^"]+)"', text
+    )
     assert [kind for kind, _ in data] == ["out", "in"] * 2
     for kind, encoded in data:
         rgb = cv2.imdecode(

@@ -44,7 +44,9 @@ def test_the_slider_moves_and_another_frame_can_be_chosen(tmp_path: Path) -> Non
         and got["images"] >= 6
         and not got["wide"]
     )
-    assert "20%" in got["above"], "the input event moves the edge between the pictures"
+    assert "20%" in got["above"], (
+        "the input event moves the edge between the pictures"
+    )
     assert got["other"] == [False, True]
     assert page.stat().st_size <= 5_000_000
 

@@ -21,7 +21,13 @@ from arfx.measure.difference import Difference, difference, mean_flicker, touche
 from arfx.measure.steps import Chain, FrameRenderer, PreparedStages, window_of
 from arfx.measure.tradeoff import Measurements, _choose_windows, _Work
 from arfx.measure.tradeoff_frames import NAMES, Sample, pick_frames
-from arfx.measure.tradeoff_html import MOST_BYTES, _share, error_map, page, recommendation
+from arfx.measure.tradeoff_html import (
+    MOST_BYTES,
+    _share,
+    error_map,
+    page,
+    recommendation,
+)
 from arfx.measure.tradeoff_pipelines import (
     LEFT_OUT,
     Row,
@@ -48,7 +54,9 @@ def row(
     formula: str = "",
 ) -> Row:
     other = {"dof": object()} if formula else {}
-    r = Row(name, level, formula, measured(seconds), levels={"dof": level}, other=other)
+    r = Row(
+        name, level, formula, measured(seconds), levels={"dof": level}, other=other
+    )
     r.by_frame[frame] = Difference(
         mean, p99, mean / 100, mean / 3, 1 - mean / 100, (4, 5), 900
     )
@@ -99,7 +107,9 @@ def test_frames_are_unlike_each_other_and_say_what_they_stand_for() -> None:
     ) == 3
     assert "far" in next(p.words for p in picked if p.index == 20)
     assert pick_frames(clip[-1:], s.camera.rect, 3) == []
-    assert len(pick_frames(clip[:1] * 5, s.camera.rect, 4)) == 1, "equal frames are one"
+    assert len(pick_frames(clip[:1] * 5, s.camera.rect, 4)) == 1, (
+        "equal frames are one"
+    )
 
 
 def test_errors_are_of_the_touched_pixels_alone() -> None:
@@ -164,7 +174,9 @@ def tiny_frame(stages: Mapping[str, Stage]) -> FrameRenderer:
         s.camera.rect,
     )
     plate = np.zeros((120, 160, 3), np.float32)
-    return FrameRenderer(facts(s), plate, plan, stages, s.camera.rect, PreparedStages(s))
+    return FrameRenderer(
+        facts(s), plate, plan, stages, s.camera.rect, PreparedStages(s)
+    )
 
 
 class Deep(Stage):
@@ -298,7 +310,8 @@ def test_what_is_left_of_a_job_has_the_settings_of_a_job_of_its_own() -> None:
     work = work_of(tiny_frame(stages), usual)
     left = {n: level for n, level in usual.items() if n != "gi"}
     assert (
-        work.stages(usual) == stages and work.stages(left)["raster"] is stages["raster"]
+        work.stages(usual) == stages
+        and work.stages(left)["raster"] is stages["raster"]
     )
     soft = [work.stages(levels)["lightmap"].soft for levels in (usual, left)]
     assert soft == [False, True], "indirect light takes over, and gives back"
@@ -319,7 +332,9 @@ def test_pictures_are_as_large_as_the_references_leave_time_for(
     ):
         work = work_of(frame, best)
         if dear_s is not None:
-            work.times.slow_s = {(n, "reference"): (dear_s, dear_s / whole) for n in best}
+            work.times.slow_s = {
+                (n, "reference"): (dear_s, dear_s / whole) for n in best
+            }
         _choose_windows(work, [best], asked)
         assert work.frames[3].window.area == pytest.approx(expected, rel=0.1)
         assert dear_s is not None or not work.times.slow_s, (
@@ -353,9 +368,17 @@ def test_pipelines_between_the_qualities_are_shown_where_nothing_beats_them_and_
     )
     between = ((0.1, 0.5), (0.11, 0.49), (0.03, 2.1), (0.06, 0.7), (0.004, 5))
     rows = [
-        row("pipeline", *of, 9) for of in (*named, *(("mixed", *of) for of in between))
+        row("pipeline", *of, 9)
+        for of in (*named, *(("mixed", *of) for of in between))
     ]
-    assert [r.seconds for r in worth_showing(rows)] == [0.004, 0.02, 0.05, 0.1, 0.3, 9]
+    assert [r.seconds for r in worth_showing(rows)] == [
+        0.004,
+        0.02,
+        0.05,
+        0.1,
+        0.3,
+        9,
+    ]
 
 
 def test_the_page_holds_everything_and_little_enough() -> None:

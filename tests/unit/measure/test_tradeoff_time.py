@@ -88,7 +88,9 @@ def test_what_is_fast_is_run_over_the_whole() -> None:
     assert found.seconds == pytest.approx(truth)
 
 
-def test_a_light_that_is_new_in_every_other_frame_costs_half_of_what_it_takes() -> None:
+def test_a_light_that_is_new_in_every_other_frame_costs_half_of_what_it_takes() -> (
+    None
+):
     found = []
     for new in (0.0, 0.5):
         _, stage, frame = slow_frame(2e-6)

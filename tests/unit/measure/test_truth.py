@@ -79,8 +79,12 @@ def test_errors_come_out_as_they_were_put_in(truth: Truth) -> None:
         for p in exact(truth)
     ]
     e = pose_errors(wrong, truth, KEY, SIZE)
-    assert e["rotation_deg"] == {k: pytest.approx(1.5) for k in ("median", "p95", "max")}
-    assert e["position_mm"] == {k: pytest.approx(3.0) for k in ("median", "p95", "max")}
+    assert e["rotation_deg"] == {
+        k: pytest.approx(1.5) for k in ("median", "p95", "max")
+    }
+    assert e["position_mm"] == {
+        k: pytest.approx(3.0) for k in ("median", "p95", "max")
+    }
     f, side = 160 / np.tan(np.radians(30)), 0.1
     turned = (
         f * side / np.sqrt(2) * np.radians(1.5) / 0.5
@@ -94,7 +98,9 @@ def mirrored(pose: Pose) -> Pose:
     normal = 2 * (pose.rotation[:, 2] @ view) * view - pose.rotation[:, 2]
     x = pose.rotation[:, 0] - (pose.rotation[:, 0] @ normal) * normal
     x /= np.linalg.norm(x)
-    return Pose(np.stack([x, np.cross(normal, x), normal], axis=1), pose.translation_m)
+    return Pose(
+        np.stack([x, np.cross(normal, x), normal], axis=1), pose.translation_m
+    )
 
 
 def test_the_mirrored_solution_counts_as_a_flip(truth: Truth) -> None:
@@ -103,7 +109,8 @@ def test_the_mirrored_solution_counts_as_a_flip(truth: Truth) -> None:
         estimates[i] = mirrored(estimates[i])
     assert pose_errors(estimates, truth, KEY, SIZE)["flips"] == 3
     away = [
-        p @ Pose.from_rotvec(np.radians([0, 0, 15]), np.zeros(3)) for p in exact(truth)
+        p @ Pose.from_rotvec(np.radians([0, 0, 15]), np.zeros(3))
+        for p in exact(truth)
     ]
     assert pose_errors(away, truth, KEY, SIZE)["flips"] == 0, (
         "a large error that is no flip"
@@ -245,14 +252,20 @@ def test_map_errors_and_world_of_either_marker(truth: Truth) -> None:
     swapped = {"36h11:4": Pose.identity(), KEY: other.inverse()}
     assert world_key(mapped, truth) == KEY and world_key(swapped, truth) == "36h11:4"
     figures = compare(facts_of(truth, exact(truth, "36h11:4")), swapped, truth)
-    assert figures["world"] == "36h11:4" and figures["arfx"]["position_mm"]["max"] < 1e-6
+    assert (
+        figures["world"] == "36h11:4" and figures["arfx"]["position_mm"]["max"] < 1e-6
+    )
 
 
 def lit(
     azimuth: float, elevation: float, cone: float = 5.0, brightness: float = 1.0
 ) -> Light:
     a, e = np.radians([azimuth, elevation])
-    unit = (float(np.cos(e) * np.cos(a)), float(np.cos(e) * np.sin(a)), float(np.sin(e)))
+    unit = (
+        float(np.cos(e) * np.cos(a)),
+        float(np.cos(e) * np.sin(a)),
+        float(np.sin(e)),
+    )
     rgb = (0.5 * brightness,) * 3
     return Light(
         (0.3 * brightness,) * 3,
@@ -264,7 +277,9 @@ def lit(
 def test_light_error_is_the_angle_to_the_true_lamp(truth: Truth) -> None:
     world = {KEY: Pose.identity()}
     e = light_errors(facts_of(truth, exact(truth), light=lit(30, 72)), world, truth)
-    assert e is not None and e["direction_deg"]["median"] == pytest.approx(12, abs=1e-6)
+    assert e is not None and e["direction_deg"]["median"] == pytest.approx(
+        12, abs=1e-6
+    )
     assert e["false"] == len(truth.frames) and e["measured"] == len(
         truth.frames
     )  # off by more than twice its cone
@@ -275,9 +290,13 @@ def test_light_error_is_the_angle_to_the_true_lamp(truth: Truth) -> None:
     assert light_errors(facts_of(truth, exact(truth)), world, truth) is None
 
 
-def test_irradiance_and_bias_are_judged_on_the_markers_themselves(truth: Truth) -> None:
+def test_irradiance_and_bias_are_judged_on_the_markers_themselves(
+    truth: Truth,
+) -> None:
     world = {KEY: Pose.identity()}
-    right = light_errors(facts_of(truth, exact(truth), light=lit(30, 60)), world, truth)
+    right = light_errors(
+        facts_of(truth, exact(truth), light=lit(30, 60)), world, truth
+    )
     bright = light_errors(
         facts_of(truth, exact(truth), light=lit(30, 60, brightness=1.1)), world, truth
     )

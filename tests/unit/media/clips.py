@@ -42,7 +42,9 @@ def make_clip(
         if path.suffix in (".mp4", ".mov")
         else {}
     )
-    with av.open(str(path), "w", container_options={**held, **(container or {})}) as out:
+    with av.open(
+        str(path), "w", container_options={**held, **(container or {})}
+    ) as out:
         s = out.add_stream(codec, rate=30, options=options)
         s.width, s.height, s.pix_fmt = width, height, pix_fmt
         s.time_base = s.codec_context.time_base = time_base
@@ -57,7 +59,9 @@ def make_clip(
             wave = (np.sin(np.arange(samples) * 0.05) * 0.3).astype(np.float32)
             for k in range(0, samples - 1023, 1024):
                 f = av.AudioFrame.from_ndarray(
-                    np.tile(wave[k : k + 1024], (2, 1)), format="fltp", layout="stereo"
+                    np.tile(wave[k : k + 1024], (2, 1)),
+                    format="fltp",
+                    layout="stereo",
                 )
                 f.sample_rate, f.pts, f.time_base = (
                     48000,

@@ -75,11 +75,16 @@ def same(
     ],
 )
 def test_a_file_by_hand(
-    tmp_path: Path, text: str, centre: tuple[float, float], distortion: tuple[float, ...]
+    tmp_path: Path,
+    text: str,
+    centre: tuple[float, float],
+    distortion: tuple[float, ...],
 ) -> None:
     k = K.copy()
     k[:2, 2] = centre
-    read = load_camera(write(tmp_path, "camera.yaml", f"{text}width: 640\nheight: 480\n"))
+    read = load_camera(
+        write(tmp_path, "camera.yaml", f"{text}width: 640\nheight: 480\n")
+    )
     same(read, k, np.array(distortion))
 
 
@@ -116,7 +121,9 @@ def test_round_trip_is_exact_and_readable_by_opencv_and_strict_yaml(
     same(load_camera(path), K, d, model=model)
     fs = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     np.testing.assert_array_equal(fs.getNode("camera_matrix").mat(), K)
-    np.testing.assert_array_equal(fs.getNode("distortion_coefficients").mat().ravel(), d)
+    np.testing.assert_array_equal(
+        fs.getNode("distortion_coefficients").mat().ravel(), d
+    )
     assert fs.getNode("std").getNode("fx").real() == 0.1
     assert fs.getNode("reasons").at(0).string() == "a: b"
     fs.release()
@@ -201,7 +208,9 @@ def test_colmap_pixel_centres_are_half_a_pixel_off(tmp_path: Path) -> None:
     same(load_camera(f"{path}#1"), k, np.zeros(0))
     assert load_camera(f"{path}#2").model == FISHEYE
     with pytest.raises(InputError, match="fov"):
-        load_camera(write(tmp_path, "cameras.txt", "1 FOV 640 480 800 800 320 240 .9\n"))
+        load_camera(
+            write(tmp_path, "cameras.txt", "1 FOV 640 480 800 800 320 240 .9\n")
+        )
 
 
 def test_kalibr_camchain(tmp_path: Path) -> None:
@@ -236,7 +245,9 @@ cam1:
     assert load_camera(f"{path}#cam1").model == FISHEYE
     with pytest.raises(InputError, match="omni"):
         load_camera(
-            write(tmp_path, "o.yaml", chain.split("cam1:")[0].replace("pinhole", "omni"))
+            write(
+                tmp_path, "o.yaml", chain.split("cam1:")[0].replace("pinhole", "omni")
+            )
         )
 
 
@@ -267,7 +278,9 @@ cam1:
         },
     ],
 )
-def test_json_of_wpilib_photonvision_and_others(tmp_path: Path, document: dict) -> None:
+def test_json_of_wpilib_photonvision_and_others(
+    tmp_path: Path, document: dict
+) -> None:
     same(load_camera(write(tmp_path, "c.json", json.dumps(document))), K, D5)
 
 
@@ -276,7 +289,10 @@ def test_a_file_without_a_size_needs_one(tmp_path: Path) -> None:
         tmp_path,
         "c.json",
         json.dumps(
-            {"camera_matrix": K.ravel().tolist(), "distortion_coefficients": D5.tolist()}
+            {
+                "camera_matrix": K.ravel().tolist(),
+                "distortion_coefficients": D5.tolist(),
+            }
         ),
     )
     with pytest.raises(InputError, match="picture size"):
@@ -305,11 +321,16 @@ def test_a_file_without_a_size_needs_one(tmp_path: Path) -> None:
             "7 distortion",
         ),
         ("K: [9,0,.Nan,0,9,1,0,0,1]\nimage_size: [4, 4]", "not finite"),
-        ("K: [9,0,1,0,9,1,0,0,1]\nimage_size: [4, 4]\nD: [-.Inf,0,0,0]", "not finite"),
+        (
+            "K: [9,0,1,0,9,1,0,0,1]\nimage_size: [4, 4]\nD: [-.Inf,0,0,0]",
+            "not finite",
+        ),
         ("K: !!python/object:os.system [1]", "neither valid"),
     ],
 )
-def test_wrong_files_get_one_clear_error(tmp_path: Path, text: str, says: str) -> None:
+def test_wrong_files_get_one_clear_error(
+    tmp_path: Path, text: str, says: str
+) -> None:
     with pytest.raises(InputError, match=says) as e:
         load_camera(write(tmp_path, "c.yaml", text))
     assert "c.yaml" in str(e.value)

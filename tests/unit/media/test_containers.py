@@ -75,7 +75,9 @@ def test_a_list_of_other_files_is_refused_whatever_its_name(
             ),
         ):
             (tmp_path / name).write_text(text)
-            with pytest.raises(InputError, match="cannot be read as a video: it is text"):
+            with pytest.raises(
+                InputError, match="cannot be read as a video: it is text"
+            ):
                 probe(tmp_path / name)
             if name.endswith((".mp4", ".mkv")):
                 with pytest.raises(

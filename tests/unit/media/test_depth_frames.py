@@ -44,7 +44,9 @@ def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_video_gives_every_map_in_any_order_and_from_any_thread(video: Path) -> None:
+def test_a_video_gives_every_map_in_any_order_and_from_any_thread(
+    video: Path,
+) -> None:
     found = open_depth(video)
     assert found.count == COUNT and not found.still
     order = [3, 4, 5, 60, 61, 2, 2, 69, 0, 40]
@@ -72,7 +74,9 @@ def test_its_frames_belong_to_the_clips_by_time(video: Path) -> None:
         2,
         2,
     ]
-    assert open_depth(video, start_s=1.0).of_frames([0.5, 1.0, 1.14], 0, whole=False) == [
+    assert open_depth(video, start_s=1.0).of_frames(
+        [0.5, 1.0, 1.14], 0, whole=False
+    ) == [
         None,
         0,
         2,
@@ -82,12 +86,15 @@ def test_its_frames_belong_to_the_clips_by_time(video: Path) -> None:
 @pytest.mark.parametrize("kind", [np.uint16, np.float32])
 def test_pages_of_a_tiff_are_maps_in_order(tmp_path: Path, kind: type) -> None:
     maps = [
-        depth(k).astype(kind) / kind(1 if kind is np.uint16 else 1000) for k in range(4)
+        depth(k).astype(kind) / kind(1 if kind is np.uint16 else 1000)
+        for k in range(4)
     ]
     path = tmp_path / "maps.tiff"
     assert cv2.imwritemulti(str(path), [m.astype(kind) for m in maps])
     found = open_depth(path)
-    assert found.count == 4 and found.of_frames([0.0, 0.1, 0.2, 0.3], 0, whole=True) == [
+    assert found.count == 4 and found.of_frames(
+        [0.0, 0.1, 0.2, 0.3], 0, whole=True
+    ) == [
         0,
         1,
         2,
@@ -109,7 +116,9 @@ def test_what_holds_no_depth_is_refused(tmp_path: Path, video: Path) -> None:
         stream.width, stream.height, stream.pix_fmt = W, H, "yuv420p"
         out.mux(
             stream.encode(
-                av.VideoFrame.from_ndarray(np.zeros((H, W, 3), np.uint8), format="rgb24")
+                av.VideoFrame.from_ndarray(
+                    np.zeros((H, W, 3), np.uint8), format="rgb24"
+                )
             )
         )
         out.mux(stream.encode(None))

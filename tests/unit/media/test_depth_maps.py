@@ -26,7 +26,9 @@ def maps(folder: Path, *names: str, value: int = 1500) -> Path:
     return folder
 
 
-def test_order_is_that_of_numbers_and_the_count_must_be_the_clips(tmp_path: Path) -> None:
+def test_order_is_that_of_numbers_and_the_count_must_be_the_clips(
+    tmp_path: Path,
+) -> None:
     found = open_depth(maps(tmp_path / "d", "2.pgm", "10.pgm", "1.pgm"))
     assert [p.name for p in found.files] == ["1.pgm", "2.pgm", "10.pgm"]
     assert found.of_frames([0.0, 0.1, 0.2], 0, whole=True) == [0, 1, 2]
@@ -40,7 +42,9 @@ def test_order_is_that_of_numbers_and_the_count_must_be_the_clips(tmp_path: Path
 def test_times_in_the_names_pair_with_the_nearest_frame(tmp_path: Path) -> None:
     names = [f"{1305031102.16 + t:.6f}.png" for t in (0.0, 0.033, 0.066, 0.166)]
     found = open_depth(maps(tmp_path / "d", *names))
-    assert found.of_frames([0.0, 0.02, 0.04, 0.07, 0.12, 0.16, 1.0], 0, whole=True) == [
+    assert found.of_frames(
+        [0.0, 0.02, 0.04, 0.07, 0.12, 0.16, 1.0], 0, whole=True
+    ) == [
         0,
         1,
         1,
@@ -76,7 +80,9 @@ def test_values_are_millimetres_or_of_the_given_scale_and_exr_metres(
         and not depth[0, :2].any()
         and depth.dtype == np.float32
     )
-    assert open_depth(tmp_path / "a.png", 5000).load(0, W, H)[5, 5] == pytest.approx(0.5)
+    assert open_depth(tmp_path / "a.png", 5000).load(0, W, H)[5, 5] == pytest.approx(
+        0.5
+    )
     metres = np.full((H, W), 1.25, np.float32)
     metres[0, :4] = np.nan, np.inf, -1, 0
     write_exr(tmp_path / "b.exr", metres)
@@ -119,9 +125,13 @@ def exr(channels: tuple[str, ...], display: tuple[int, int] = (W, H)) -> bytes:
     head += attribute(b"screenWindowCenter", b"v2f", bytes(8)) + attribute(
         b"screenWindowWidth", b"float", struct.pack("<f", 1)
     )
-    row = b"".join(np.full(W, k + 1, np.float32).tobytes() for k in range(len(channels)))
+    row = b"".join(
+        np.full(W, k + 1, np.float32).tobytes() for k in range(len(channels))
+    )
     start = len(head) + 1 + 8 * H
-    offsets = b"".join(struct.pack("<Q", start + y * (8 + len(row))) for y in range(H))
+    offsets = b"".join(
+        struct.pack("<Q", start + y * (8 + len(row))) for y in range(H)
+    )
     return (
         head
         + b"\0"
@@ -145,7 +155,9 @@ def test_an_exr_without_depth_or_of_a_size_that_is_not_its_pixels_is_refused(
     tmp_path: Path,
 ) -> None:
     (tmp_path / "z.exr").write_bytes(exr(("depth.Z",)))
-    with pytest.raises(InputError, match=r"holds the channels depth\.Z, none of which"):
+    with pytest.raises(
+        InputError, match=r"holds the channels depth\.Z, none of which"
+    ):
         open_depth(tmp_path / "z.exr").load(0, W, H)
     (tmp_path / "z.exr").write_bytes(
         exr(("Z",), (32000, 24000))
@@ -197,7 +209,9 @@ def test_what_is_wrong_is_said(tmp_path: Path) -> None:
 def test_holes_fill_from_the_side_that_looks_alike() -> None:
     guide = np.full((60, 80), 60, np.uint8)
     guide[:, 40:] = 180  # the picture's edge: near on the left, far on the right
-    depth = np.where(np.arange(80) < 40, 1.0, 4.0)[None].repeat(60, 0).astype(np.float32)
+    depth = (
+        np.where(np.arange(80) < 40, 1.0, 4.0)[None].repeat(60, 0).astype(np.float32)
+    )
     holed = depth.copy()
     holed[20:40, 30:50] = 0  # over the edge
     holed[:, 74:] = 0

@@ -37,7 +37,9 @@ FORMATS = [
     "gbrp",
     "gbrp10le",
 ]
-STEP_SHARE = 1 / 32  # of a step of the samples: the most by which a table's entry is off
+STEP_SHARE = (
+    1 / 32
+)  # of a step of the samples: the most by which a table's entry is off
 TURNS = [
     Orientation(t, x, y)
     for t in (False, True)
@@ -134,7 +136,8 @@ def test_light_follows_the_transfer(transfer: str) -> None:
     linear, textbook = f.linear(f.rect), reference_linear(f)
     encode = f.format.transfer.encode
     assert (
-        np.abs(encode(linear.astype(float)) - encode(textbook)).max() < STEP_SHARE / 876
+        np.abs(encode(linear.astype(float)) - encode(textbook)).max()
+        < STEP_SHARE / 876
     )
 
 
@@ -157,7 +160,9 @@ def test_every_value_is_written_as_the_nearest_step(name: str, transfer: str) ->
 def test_rectangles_agree_and_edits_stay_inside(
     name: str, turn: Orientation, data: st.DataObject
 ) -> None:
-    f = frame(name, turn=turn, location=data.draw(st.sampled_from(["left", "center"])))
+    f = frame(
+        name, turn=turn, location=data.draw(st.sampled_from(["left", "center"]))
+    )
     whole = f.rect
     x0, y0 = (
         data.draw(st.integers(0, whole.x1 - 1)),
@@ -263,13 +268,21 @@ def test_orientations_are_their_own_inverse(turn: Orientation) -> None:
 def test_display_matrices() -> None:
     one = 65536
     assert orientation_of(None) == (Orientation(), True)
-    assert orientation_of((0, one, 0, -one, 0, 0, 0, 0, 1 << 30))[0].rotation_deg == 270
-    assert orientation_of((0, -one, 0, one, 0, 0, 0, 0, 1 << 30))[0].rotation_deg == 90
-    assert orientation_of((-one, 0, 0, 0, -one, 0, 0, 0, 1 << 30))[0].rotation_deg == 180
+    assert (
+        orientation_of((0, one, 0, -one, 0, 0, 0, 0, 1 << 30))[0].rotation_deg == 270
+    )
+    assert (
+        orientation_of((0, -one, 0, one, 0, 0, 0, 0, 1 << 30))[0].rotation_deg == 90
+    )
+    assert (
+        orientation_of((-one, 0, 0, 0, -one, 0, 0, 0, 1 << 30))[0].rotation_deg == 180
+    )
     assert orientation_of((-one, 0, 0, 0, one, 0, 0, 0, 1 << 30))[0] == Orientation(
         flip_x=True
     )
-    assert orientation_of((46341, 46341, 0, -46341, 46341, 0, 0, 0, 1 << 30))[1] is False
+    assert (
+        orientation_of((46341, 46341, 0, -46341, 46341, 0, 0, 0, 1 << 30))[1] is False
+    )
 
 
 @pytest.mark.parametrize(
@@ -278,7 +291,9 @@ def test_display_matrices() -> None:
      ("pal8", "gbrp"), ("rgb48le", "gbrp16le"),
      ("nv16", "yuv422p"), ("nv24", "yuv444p"), ("ya8", "gray"), ("uyvy422", "yuv422p")],
 )  # fmt: skip
-def test_unusual_formats_get_a_working_one_with_a_notice(name: str, working: str) -> None:
+def test_unusual_formats_get_a_working_one_with_a_notice(
+    name: str, working: str
+) -> None:
     layout, notice = working_layout(name)
     assert layout.name == working and name in notice
     assert working_layout(working) == (layout, "")

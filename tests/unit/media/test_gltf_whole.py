@@ -77,7 +77,8 @@ class Writer:
 
     def load(self, folder):
         uri = (
-            "data:application/octet-stream;base64," + base64.b64encode(self.data).decode()
+            "data:application/octet-stream;base64,"
+            + base64.b64encode(self.data).decode()
         )
         tree = {"buffers": [{"byteLength": len(self.data), "uri": uri}]} | self.tree
         (folder / "m.gltf").write_text(json.dumps(tree))
@@ -157,7 +158,9 @@ def test_messages_hold_no_python(tmp_path, broken):
     w.tree |= broken
     with pytest.raises(InputError) as e:
         w.load(tmp_path)
-    assert not any(t in str(e.value) for t in ("Error", "NoneType", "'int'", "object"))
+    assert not any(
+        t in str(e.value) for t in ("Error", "NoneType", "'int'", "object")
+    )
 
 
 def corners(model):
@@ -167,9 +170,9 @@ def corners(model):
 def same_surface(model):
     got = corners(model)
     assert len(got) == 2
-    assert np.cross(got[:, 1] - got[:, 0], got[:, 2] - got[:, 0])[:, 2] == pytest.approx(
-        [1, 1]
-    )
+    assert np.cross(got[:, 1] - got[:, 0], got[:, 2] - got[:, 0])[
+        :, 2
+    ] == pytest.approx([1, 1])
 
 
 @pytest.mark.parametrize(
@@ -179,7 +182,9 @@ def same_surface(model):
 def test_fans_and_strips(tmp_path, mode, order, given):
     w = Writer()
     w.primitive(
-        np.array(order, np.uint8) if given else None, mode, POSITION=w.accessor(SQUARE)
+        np.array(order, np.uint8) if given else None,
+        mode,
+        POSITION=w.accessor(SQUARE),
     )
     same_surface(w.load(tmp_path))
 
@@ -215,7 +220,9 @@ def test_quantised_positions_and_coordinates(tmp_path):
     w.primitive(POSITION=place, TEXCOORD_0=uv)["material"] = 0
     model = w.load(tmp_path)
     same_surface(model)
-    assert model.parts[0].uv == pytest.approx(model.parts[0].vertices[:, :2], abs=1e-6)
+    assert model.parts[0].uv == pytest.approx(
+        model.parts[0].vertices[:, :2], abs=1e-6
+    )
 
 
 def test_second_set_of_coordinates_and_transform(tmp_path):
@@ -252,7 +259,11 @@ def test_hidden_node_and_instances(tmp_path):
     hidden = {"mesh": 0, "extensions": {"KHR_node_visibility": {"visible": False}}}
     places = w.accessor(np.array([[0, 0, 0], [5, 0, 0], [0, 7, 0]], np.float32))
     copies = {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": places}}}
-    w.tree["nodes"] = [{"children": [1, 2]}, hidden, {"mesh": 0, "extensions": copies}]
+    w.tree["nodes"] = [
+        {"children": [1, 2]},
+        hidden,
+        {"mesh": 0, "extensions": copies},
+    ]
     model = w.load(tmp_path)
     assert model.face_count == 6
     assert model.bounds[1] == pytest.approx([6, 8, 0])
@@ -292,9 +303,9 @@ def test_shine_textures_are_converted_by_texel(tmp_path):
     w.tree["materials"] = [
         {"extensions": {"KHR_materials_pbrSpecularGlossiness": glossy}}
     ]
-    w.primitive(POSITION=w.accessor(SQUARE), TEXCOORD_0=w.accessor(SQUARE[:, :2].copy()))[
-        "material"
-    ] = 0
+    w.primitive(
+        POSITION=w.accessor(SQUARE), TEXCOORD_0=w.accessor(SQUARE[:, :2].copy())
+    )["material"] = 0
     got = w.load(tmp_path).parts[0].material
     assert got.metallic_roughness_texture.picture[..., 1:3].tolist() == [
         [[0, 0], [204, 255]]
@@ -330,7 +341,10 @@ def test_lines_are_told_and_what_is_below_an_empty_mesh_keeps_its_place(tmp_path
 
 def test_scenes(tmp_path):
     w = square()
-    w.tree |= {"nodes": [{"mesh": 0}, {"mesh": 0, "translation": [5, 0, 0]}], "scene": 1}
+    w.tree |= {
+        "nodes": [{"mesh": 0}, {"mesh": 0, "translation": [5, 0, 0]}],
+        "scene": 1,
+    }
     w.tree["scenes"] = [{"nodes": [0]}, {"nodes": [1]}]
     model = w.load(tmp_path)
     assert model.bounds[0] == pytest.approx([5, 0, 0])
@@ -398,7 +412,12 @@ def test_any_value_of_a_wrong_kind_loads_or_is_refused_in_words(tmp_path, wrong)
     }
     w.tree["nodes"] = [
         {"children": [1]},
-        {"mesh": 0, "extensions": where, "rotation": [0, 0, 0, 1], "scale": [1, 1, 1]},
+        {
+            "mesh": 0,
+            "extensions": where,
+            "rotation": [0, 0, 0, 1],
+            "scale": [1, 1, 1],
+        },
     ]
     w.tree |= {
         "extensionsUsed": ["KHR_materials_unlit"],

@@ -14,7 +14,9 @@ from arfx.media.cameras import camera_warnings, load_camera
 K = [[800.0, 0, 640], [0, 800, 360], [0, 0, 1]]
 
 
-def camera(folder: Path, matrix: object = K, distortion: object = (0, 0, 0, 0)) -> Path:
+def camera(
+    folder: Path, matrix: object = K, distortion: object = (0, 0, 0, 0)
+) -> Path:
     path = folder / "camera.yaml"
     rows = np.array(matrix, object).ravel().tolist()
     path.write_text(
@@ -95,7 +97,8 @@ def test_a_matrix_that_is_surely_wrong_is_refused_with_what_would_be_right(
 
 
 @pytest.mark.parametrize(
-    "distortion", [(1e9, 0, 0, 0), (0, 0, 1e9, 0), (-1e5, 0, 0, 0), (1e300, 1e300, 0, 0)]
+    "distortion",
+    [(1e9, 0, 0, 0), (0, 0, 1e9, 0), (-1e5, 0, 0, 0), (1e300, 1e300, 0, 0)],
 )
 def test_a_distortion_that_no_lens_has_is_refused(
     tmp_path: Path, distortion: tuple[float, ...]
@@ -109,7 +112,11 @@ def test_a_distortion_that_no_lens_has_is_refused(
     [
         ([[800, 0, 640], [0, 1400, 360], [0, 0, 1]], (0, 0, 0, 0), "oblong"),
         ([[100, 0, 640], [0, 100, 360], [0, 0, 1]], (0, 0, 0, 0), "unusual"),
-        ([[800, 0, 1500], [0, 800, 360], [0, 0, 1]], (0, 0, 0, 0), "outside the picture"),
+        (
+            [[800, 0, 1500], [0, 800, 360], [0, 0, 1]],
+            (0, 0, 0, 0),
+            "outside the picture",
+        ),
         (K, (-2.0, 0, 0, 0), "of the picture only"),
     ],
 )
@@ -122,7 +129,9 @@ def test_what_is_odd_is_told(
 
 def test_usual_cameras_raise_no_doubt(tmp_path: Path) -> None:
     assert (
-        camera_warnings(load_camera(camera(tmp_path, distortion=(-0.28, 0.07, 0, 0))), {})
+        camera_warnings(
+            load_camera(camera(tmp_path, distortion=(-0.28, 0.07, 0, 0))), {}
+        )
         == []
     )
     assert camera_warnings(Camera.guess(1920, 1080), {}) == []

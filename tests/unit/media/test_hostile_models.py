@@ -23,9 +23,7 @@ POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
 
 
 # of messages that Python, numpy and trimesh raise where a file is damaged
-PYTHON = (
-    r"Error|could not|No module|NoneType|' object|invalid literal|unpack|shape|unexpected"
-)
+PYTHON = r"Error|could not|No module|NoneType|' object|invalid literal|unpack|shape|unexpected"
 
 
 def header(**changes: Any) -> dict[str, Any]:
@@ -82,7 +80,9 @@ def test_a_model_names_all_files_that_it_was_read_from(tmp_path: Path) -> None:
         "x/../../secret.bin",
     ],
 )
-def test_a_buffer_outside_the_models_folder_is_refused(tmp_path: Path, name: str) -> None:
+def test_a_buffer_outside_the_models_folder_is_refused(
+    tmp_path: Path, name: str
+) -> None:
     (tmp_path / "secret.bin").write_bytes(POINTS.tobytes())
     path = gltf(
         tmp_path / "m",
@@ -123,7 +123,8 @@ def test_a_name_outside_the_models_folder_is_not_even_looked_up(
         return given(self)
 
     path = gltf(
-        tmp_path / "m", header(buffers=[{"uri": "//host/share/x.bin", "byteLength": 36}])
+        tmp_path / "m",
+        header(buffers=[{"uri": "//host/share/x.bin", "byteLength": 36}]),
     )
     monkeypatch.setattr(Path, "exists", exists)
     with pytest.raises(InputError, match="outside its folder"):
@@ -132,7 +133,9 @@ def test_a_name_outside_the_models_folder_is_not_even_looked_up(
 
 
 @pytest.mark.parametrize("mtl", ["../o.mtl", "none.mtl", "/dev/zero"])
-def test_materials_that_are_missing_or_outside_are_told(tmp_path: Path, mtl: str) -> None:
+def test_materials_that_are_missing_or_outside_are_told(
+    tmp_path: Path, mtl: str
+) -> None:
     (tmp_path / "o.mtl").write_text("newmtl m\nKd 1 0 0\n")
     (notice,) = load_model(obj(tmp_path / "m", mtl, "")).notices
     assert mtl in notice and "left out" in notice
@@ -169,7 +172,9 @@ def test_postscript_under_a_pictures_name_starts_no_program(
     import base64
 
     uri = (
-        "data:image/png;base64," + base64.b64encode(eps).decode() if embedded else "t.png"
+        "data:image/png;base64," + base64.b64encode(eps).decode()
+        if embedded
+        else "t.png"
     )
     path = gltf(tmp_path, header(images=[{"uri": uri}], textures=[{"source": 0}],
                                  materials=[{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]))  # fmt: skip
@@ -224,9 +229,12 @@ def put(*keys: Any) -> Any:
         put("meshes", 0, "primitives", 0, "indices", 0),
         put("meshes", 0, "primitives", "x"),
         put(
-            "materials", [{"pbrMetallicRoughness": {"baseColorFactor": [1e999, 0, 0, 1]}}]
+            "materials",
+            [{"pbrMetallicRoughness": {"baseColorFactor": [1e999, 0, 0, 1]}}],
         ),
-        put("materials", [{"pbrMetallicRoughness": {"metallicFactor": float("nan")}}]),
+        put(
+            "materials", [{"pbrMetallicRoughness": {"metallicFactor": float("nan")}}]
+        ),
         put("materials", [{"name": "m", "emissiveFactor": [1e999, 0, 0]}]),
         put("materials", [{"pbrMetallicRoughness": 5}]),
         put("asset", 5),
@@ -283,7 +291,8 @@ def test_odd_obj_is_read_or_one_message(tmp_path: Path, body: str) -> None:
         assert not re.search(PYTHON, str(e))
     else:
         assert all(
-            np.isfinite(p.vertices).all() and (p.uv is None or np.isfinite(p.uv).all())
+            np.isfinite(p.vertices).all()
+            and (p.uv is None or np.isfinite(p.uv).all())
             for p in model.parts
         )
 
@@ -309,7 +318,9 @@ def test_damage_is_told_in_words(tmp_path: Path, name: str, content: bytes) -> N
     assert not re.search(PYTHON, str(e.value))
 
 
-def test_mtl_numbers_that_are_not_finite_or_huge_are_no_numbers(tmp_path: Path) -> None:
+def test_mtl_numbers_that_are_not_finite_or_huge_are_no_numbers(
+    tmp_path: Path,
+) -> None:
     for line in ("Kd nan 0 0", "d nan", "Ns nan", "Kd 1e999 0 0"):
         (notice,) = load_model(obj(tmp_path, "a.mtl", f"newmtl m\n{line}\n")).notices
         assert line in notice
@@ -318,11 +329,15 @@ def test_mtl_numbers_that_are_not_finite_or_huge_are_no_numbers(tmp_path: Path) 
 
 
 def test_instances_are_counted_before_anything_is_built(tmp_path: Path) -> None:
-    many = header(nodes=[{"mesh": 0}] * 20_000, scenes=[{"nodes": list(range(20_000))}])
+    many = header(
+        nodes=[{"mesh": 0}] * 20_000, scenes=[{"nodes": list(range(20_000))}]
+    )
     with pytest.raises(InputError, match="more than 10000 parts"):
         load_model(gltf(tmp_path, many))
     big = header(nodes=[{"mesh": 0}] * 5000, scenes=[{"nodes": list(range(5000))}])
-    big["accessors"].append({"componentType": 5125, "count": 30_000, "type": "SCALAR"})
+    big["accessors"].append(
+        {"componentType": 5125, "count": 30_000, "type": "SCALAR"}
+    )
     big["meshes"][0]["primitives"][0]["indices"] = 1
     with pytest.raises(InputError, match="more than 5000000 faces"):
         load_model(gltf(tmp_path, big))
@@ -341,7 +356,9 @@ def test_content_tells_the_format(tmp_path: Path) -> None:
     assert load_model(tmp_path / "b.glb").face_count == 1
 
 
-@pytest.mark.parametrize("name", ["a.zip", "a.tar.gz", "a.json", "a.3mf", "a.xyz", "a"])
+@pytest.mark.parametrize(
+    "name", ["a.zip", "a.tar.gz", "a.json", "a.3mf", "a.xyz", "a"]
+)
 def test_archives_and_formats_without_faces_are_refused(
     tmp_path: Path, name: str
 ) -> None:
@@ -364,9 +381,15 @@ def test_a_picture_that_materials_share_is_decoded_once_and_all_are_counted(
         for n, k in zip("abc", (0, 1, 2), strict=True)
     ]
     tree["meshes"] = [
-        {"primitives": [{"attributes": {"POSITION": 0}, "material": k} for k in range(3)]}
+        {
+            "primitives": [
+                {"attributes": {"POSITION": 0}, "material": k} for k in range(3)
+            ]
+        }
     ]
-    a, b, c = (p.material.base_texture for p in load_model(gltf(tmp_path, tree)).parts)
+    a, b, c = (
+        p.material.base_texture for p in load_model(gltf(tmp_path, tree)).parts
+    )
     assert a.picture is b.picture and a.picture is not c.picture
     monkeypatch.setattr("arfx.media.model_files.MAX_TEXELS", 5000)
     with pytest.raises(InputError, match="textures hold more"):

@@ -57,7 +57,9 @@ def glb(
     return path
 
 
-def test_gltf_factors_are_exact_and_defaults_are_the_standards(tmp_path: Path) -> None:
+def test_gltf_factors_are_exact_and_defaults_are_the_standards(
+    tmp_path: Path,
+) -> None:
     base = [0.0123, 0.4567, 1.0, 0.25]
     m = load_model(glb(tmp_path / "a.glb", {"name": "m", "alphaMode": "BLEND", "emissiveFactor": [0.5, 0.25, 0.125],
                                             "pbrMetallicRoughness": {"baseColorFactor": base}}))  # fmt: skip
@@ -78,7 +80,9 @@ def test_gltf_factors_are_exact_and_defaults_are_the_standards(tmp_path: Path) -
     ("mode", "expected"), [("MASK", MASK), ("OPAQUE", OPAQUE), (None, OPAQUE)]
 )
 def test_alpha_modes(tmp_path: Path, mode: str | None, expected: str) -> None:
-    material = {"name": "m", "alphaCutoff": 0.75} | ({"alphaMode": mode} if mode else {})
+    material = {"name": "m", "alphaCutoff": 0.75} | (
+        {"alphaMode": mode} if mode else {}
+    )
     m = load_model(glb(tmp_path / "a.glb", material)).parts[0].material
     assert m.alpha_mode == expected and (mode != "MASK" or m.alpha_cutoff == 0.75)
 
@@ -126,7 +130,9 @@ def test_obj_with_spaces_in_its_textures_name(tmp_path: Path) -> None:
 
 def test_ply_vertex_colours_become_linear(tmp_path: Path) -> None:
     mesh = trimesh.creation.box()
-    mesh.visual.vertex_colors = np.tile(np.array([188, 0, 255, 255], np.uint8), (8, 1))
+    mesh.visual.vertex_colors = np.tile(
+        np.array([188, 0, 255, 255], np.uint8), (8, 1)
+    )
     mesh.export(tmp_path / "a.ply")
     m = load_model(tmp_path / "a.ply")
     assert m.up == "z" and m.parts[0].material.double_sided
@@ -146,7 +152,9 @@ def test_stl_cube_gets_sharp_edges_and_a_sphere_smooth_ones(tmp_path: Path) -> N
     np.testing.assert_allclose(np.abs(box.normals).max(1), 1, atol=1e-12)
     trimesh.creation.icosphere(subdivisions=3).export(tmp_path / "ball.stl")
     ball = load_model(tmp_path / "ball.stl").parts[0]
-    assert len(ball.vertices) == 642, "shared again after STL took every triangle apart"
+    assert len(ball.vertices) == 642, (
+        "shared again after STL took every triangle apart"
+    )
     r = ball.vertices / np.linalg.norm(ball.vertices, axis=1, keepdims=True)
     assert (r * ball.normals).sum(1).min() > np.cos(np.radians(1.5))
 
@@ -187,7 +195,11 @@ def test_faces_without_area_are_dropped_and_counted(tmp_path: Path) -> None:
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no faces"),
         ("a.obj", "v 0 0 0\nv 1e12 0 0\nv 0 1 0\nf 1 2 3\n", "spans|no faces"),
         ("a.glb", "this is no glTF", "cannot read"),
-        ("a.ply", "ply\nformat ascii 1.0\nelement vertex 3\n", "cannot read|no faces"),
+        (
+            "a.ply",
+            "ply\nformat ascii 1.0\nelement vertex 3\n",
+            "cannot read|no faces",
+        ),
         ("a.stl", "", "is empty"),
         ("a.xyzw", "?", "cannot read"),
     ],

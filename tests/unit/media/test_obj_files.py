@@ -114,12 +114,15 @@ def test_faces_of_many_corners_are_fans(tmp_path: Path, face: str) -> None:
         [list(places[k]) for k in (0, k, k + 1)] for k in (1, 2, 3)
     ]
     assert (
-        part.uv is not None and (part.uv == part.vertices[:, :2] * (1, -1) + (0, 1)).all()
+        part.uv is not None
+        and (part.uv == part.vertices[:, :2] * (1, -1) + (0, 1)).all()
     )
     assert (part.normals == [0, 0, 1]).all()
 
 
-def test_a_corner_without_coordinates_leaves_the_others_theirs(tmp_path: Path) -> None:
+def test_a_corner_without_coordinates_leaves_the_others_theirs(
+    tmp_path: Path,
+) -> None:
     text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt .5 .25\nf 1/1 2/1 3\n"
     (tmp_path / "a.obj").write_text(text)
     (part,) = load_model(tmp_path / "a.obj").parts
@@ -132,7 +135,12 @@ def test_a_corner_without_coordinates_leaves_the_others_theirs(tmp_path: Path) -
 
 def test_a_name_with_blanks_is_one_name(tmp_path: Path) -> None:
     (tmp_path / "b c.mtl").write_text("newmtl m\nKd 1 0 0\n")
-    assert obj(tmp_path, "", "b c.mtl", "m").parts[0].material.base_colour == (1, 0, 0, 1)
+    assert obj(tmp_path, "", "b c.mtl", "m").parts[0].material.base_colour == (
+        1,
+        0,
+        0,
+        1,
+    )
 
 
 def test_materials_that_differ_in_case_alone_are_two(tmp_path: Path) -> None:
@@ -141,7 +149,9 @@ def test_materials_that_differ_in_case_alone_are_two(tmp_path: Path) -> None:
 
 
 def test_a_map_is_scaled_and_moved(tmp_path: Path) -> None:
-    (part,) = obj(tmp_path, "newmtl m\nmap_Kd -s 2 3 -o .5 .25 t.png\n", use="m").parts
+    (part,) = obj(
+        tmp_path, "newmtl m\nmap_Kd -s 2 3 -o .5 .25 t.png\n", use="m"
+    ).parts
     assert part.material.base_texture is not None
     uv = part.uv_on(part.material.base_texture)
     assert uv is not None
@@ -163,7 +173,9 @@ def test_a_map_is_scaled_and_moved(tmp_path: Path) -> None:
         ("Ke 0 0 0\nillum 2\nNi 1", []),
     ],
 )
-def test_what_a_material_loses_is_told(tmp_path: Path, mtl: str, told: list[str]) -> None:
+def test_what_a_material_loses_is_told(
+    tmp_path: Path, mtl: str, told: list[str]
+) -> None:
     notices = obj(tmp_path, f"newmtl m\n{mtl}\n", use="m").notices
     assert len(notices) == bool(told) and all(word in notices[0] for word in told)
 
@@ -231,7 +243,8 @@ def test_textures_of_a_ply_that_are_not_shown_are_told(tmp_path: Path) -> None:
 
 def test_limits_hold_before_the_work(tmp_path: Path) -> None:
     many = {
-        "a.obj": "v 0 0 0\n" + "".join(f"usemtl m{i}\nf 1 1 1\n" for i in range(10_001)),
+        "a.obj": "v 0 0 0\n"
+        + "".join(f"usemtl m{i}\nf 1 1 1\n" for i in range(10_001)),
         "b.obj": "v 0 0 0\n" + "f 1 1 1\n" * 5_000_001,
         "a.ply": "ply\nformat ascii 1.0\nelement face 5000001\nend_header\n",
         "a.off": "OFF\n# made by hand\n3 5000001 0\n",
@@ -239,5 +252,7 @@ def test_limits_hold_before_the_work(tmp_path: Path) -> None:
     }
     for name, text in many.items():
         (tmp_path / name).write_text(text)
-        with pytest.raises(InputError, match=r"more than (10000 parts|5000000 faces)"):
+        with pytest.raises(
+            InputError, match=r"more than (10000 parts|5000000 faces)"
+        ):
             load_model(tmp_path / name)

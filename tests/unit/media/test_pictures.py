@@ -22,7 +22,8 @@ RGB = np.kron(
 
 
 @pytest.mark.parametrize(
-    "suffix", [".png", ".jpg", ".bmp", ".webp", ".ppm", ".tiff", ".hdr", ".exr", ".jp2"]
+    "suffix",
+    [".png", ".jpg", ".bmp", ".webp", ".ppm", ".tiff", ".hdr", ".exr", ".jp2"],
 )
 def test_every_kind_is_read_whatever_its_name(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"a{suffix}"
@@ -69,7 +70,9 @@ def exr(folder: Path, side: int) -> bytes:
 
 
 @pytest.mark.parametrize("kind", ["png", "hdr", "exr", "tiff", "ppm"])
-def test_a_small_file_that_states_gigabytes_is_refused(tmp_path: Path, kind: str) -> None:
+def test_a_small_file_that_states_gigabytes_is_refused(
+    tmp_path: Path, kind: str
+) -> None:
     path = tmp_path / f"a.{kind}"
     if kind == "tiff":
         tifffile.imwrite(path, np.zeros((8000, 8000), np.uint16), compression="zlib")
@@ -82,7 +85,11 @@ def test_a_small_file_that_states_gigabytes_is_refused(tmp_path: Path, kind: str
         )  # fmt: skip
     for read in (
         load_image,
-        *([] if kind in ("hdr", "ppm") else [lambda p: open_depth(p).load(0, 16, 16)]),
+        *(
+            []
+            if kind in ("hdr", "ppm")
+            else [lambda p: open_depth(p).load(0, 16, 16)]
+        ),
     ):
         with pytest.raises(InputError, match=r"60000x60000|8000x8000"):
             read(path)

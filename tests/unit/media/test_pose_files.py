@@ -34,7 +34,8 @@ def test_lines_in_order_and_their_inverse(tmp_path: Path) -> None:
 def lines(times: list[float]) -> str:
     """The camera moves by 1 m and turns by 0.4 rad about z in a second."""
     return "".join(
-        f"{1305 + t} {t} 0 0 0 0 {math.sin(0.2 * t)} {math.cos(0.2 * t)}\n" for t in times
+        f"{1305 + t} {t} 0 0 0 0 {math.sin(0.2 * t)} {math.cos(0.2 * t)}\n"
+        for t in times
     )
 
 

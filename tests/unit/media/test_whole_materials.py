@@ -109,7 +109,9 @@ def test_a_third_set_of_coordinates_is_told(tmp_path):
     w = Writer()
     slot = w.texture(CORNERS) | {"texCoord": 2}
     w.tree["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": slot}}]
-    w.primitive(POSITION=w.accessor(SQUARE), TEXCOORD_2=w.accessor(UV))["material"] = 0
+    w.primitive(POSITION=w.accessor(SQUARE), TEXCOORD_2=w.accessor(UV))[
+        "material"
+    ] = 0
     model = w.load(tmp_path)
     assert model.parts[0].material.base_texture is None and "third set" in " ".join(
         model.notices
@@ -200,7 +202,9 @@ def test_tangents_are_finite_where_the_picture_covers_nothing():
     tangents = corner_tangents(FAN, FAN_FACES, FAN_NORMALS, np.full((5, 2), 0.5))
     normals = FAN_NORMALS[FAN_FACES].reshape(-1, 3)
     assert np.linalg.norm(tangents[:, :3], axis=1) == pytest.approx(np.ones(12))
-    assert (tangents[:, :3] * normals).sum(1) == pytest.approx(np.zeros(12), abs=1e-12)
+    assert (tangents[:, :3] * normals).sum(1) == pytest.approx(
+        np.zeros(12), abs=1e-12
+    )
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
@@ -236,7 +240,9 @@ def obj(folder, mtl, vertices="v 0 0 0\nv 1 0 0\nv 0 1 0\n"):
     Image.fromarray(normal).save(folder / "n.png")
     Image.fromarray(grey).save(folder / "g.png")
     (folder / "a.mtl").write_text(f"newmtl m\n{mtl}\n")
-    text = f"mtllib a.mtl\n{vertices}vt 0 0\nvt 1 0\nvt 0 1\nusemtl m\nf 1/1 2/2 3/3\n"
+    text = (
+        f"mtllib a.mtl\n{vertices}vt 0 0\nvt 1 0\nvt 0 1\nusemtl m\nf 1/1 2/2 3/3\n"
+    )
     (folder / "a.obj").write_text(text)
     return load_model(folder / "a.obj").parts[0]
 
@@ -273,9 +279,14 @@ def test_colours_of_vertices_multiply_an_objs_material(tmp_path: Path) -> None:
         and part.colours is not None
     )
     by_place = {
-        tuple(v[:2]): tuple(c) for v, c in zip(part.vertices, part.colours, strict=True)
+        tuple(v[:2]): tuple(c)
+        for v, c in zip(part.vertices, part.colours, strict=True)
     }
-    assert by_place == {(0, 0): (1, 0, 0, 1), (1, 0): (0, 1, 0, 1), (0, 1): (0, 0, 1, 1)}
+    assert by_place == {
+        (0, 0): (1, 0, 0, 1),
+        (1, 0): (0, 1, 0, 1),
+        (0, 1): (0, 0, 1, 1),
+    }
 
 
 def test_colours_that_some_vertices_lack_are_told(tmp_path: Path) -> None:

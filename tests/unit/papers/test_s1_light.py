@@ -33,7 +33,9 @@ from tests.unit.analyse.light.test_light import run as corrected
 def run(clip: Clip, **settings: Any) -> Analysis:
     analysis, taken = clip.made()
     params = PrintedLightParams(**settings)
-    return PrintedLight.with_light(analysis, taken.readings, taken.samples, params, None)
+    return PrintedLight.with_light(
+        analysis, taken.readings, taken.samples, params, None
+    )
 
 
 def seen(normals: list[np.ndarray] | np.ndarray, level: float = 0.6) -> Observation:
@@ -48,7 +50,9 @@ def off_deg(found: np.ndarray, true: np.ndarray) -> float:
 
 def test_settings_out_of_bounds_are_named() -> None:
     for setting in ("peak", "peak_apart_deg", "least_light"):
-        with pytest.raises(ValidationError, match=f"{setting}\n.*greater than or equal"):
+        with pytest.raises(
+            ValidationError, match=f"{setting}\n.*greater than or equal"
+        ):
             PrintedLightParams(**{setting: -1.0})  # type: ignore[arg-type]
     with pytest.raises(ValidationError, match=r"albedos\n.*'brightness' or 'known'"):
         PrintedLightParams(albedos="unknown")  # type: ignore[arg-type]
@@ -90,7 +94,9 @@ def test_one_single_normal_is_a_peak_whichever_it_is() -> None:
         assert found.rgb == pytest.approx(
             [0.6] * 3, rel=1e-6
         ) and light.ambient_rgb == pytest.approx([0] * 3, abs=1e-6)
-        assert look_up(cube, (turn @ n)[None])[0] == pytest.approx([0.6] * 3, rel=1e-6)
+        assert look_up(cube, (turn @ n)[None])[0] == pytest.approx(
+            [0.6] * 3, rel=1e-6
+        )
         away = n @ -turn.T  # a direction that no marker faced
         assert look_up(cube, away[None])[0] == pytest.approx([0] * 3, abs=1e-9)
 
@@ -139,7 +145,9 @@ def test_the_critical_brightness_is_a_share_or_a_value() -> None:
     def peaks(**settings: Any) -> list[float]:
         return [
             li.rgb[0]
-            for li in lights_of([seen(two)], PrintedLightParams(**settings))[0][0].lights
+            for li in lights_of([seen(two)], PrintedLightParams(**settings))[0][
+                0
+            ].lights
         ]
 
     bright, less = peaks(peak=0.1)
@@ -148,9 +156,9 @@ def test_the_critical_brightness_is_a_share_or_a_value() -> None:
         peaks(peak=0.5 * (1 + less / bright)) == [bright]
         and len(peaks(peak=0.99 * less / bright)) == 2
     )
-    assert peaks(least_light=0.6) == [] and peaks(least_light=(bright + less) / 2) == [
-        bright
-    ]
+    assert peaks(least_light=0.6) == [] and peaks(
+        least_light=(bright + less) / 2
+    ) == [bright]
     assert peaks(least_light=0.99 * less) == [bright, less]
 
 
@@ -205,7 +213,9 @@ def test_the_printed_bias_is_a_setting_and_no_bias() -> None:
 
 def test_a_light_that_is_given_has_no_map() -> None:
     done = run(Clip(), given=(30.0, 50.0))
-    assert [f.light.source for f in done.facts if f.light] == ["given"] * len(done.facts)
+    assert [f.light.source for f in done.facts if f.light] == ["given"] * len(
+        done.facts
+    )
     assert all(f.light_map is None for f in done.facts)
 
 
@@ -235,7 +245,9 @@ def test_the_papers_light_map_is_written_with_every_frame(level: int) -> None:
         assert found is not None and f.camera_from_world is not None
         cube, axes = found
         shown = look_up(cube, directions @ f.camera_from_world.rotation @ axes.T)
-        assert shown == pytest.approx(look_up(light.cube, directions @ turn.T), abs=0.01)
+        assert shown == pytest.approx(
+            look_up(light.cube, directions @ turn.T), abs=0.01
+        )
     assert corrected(Clip(frames=4)).facts[0].light_map is None
 
 

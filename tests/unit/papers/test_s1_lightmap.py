@@ -43,7 +43,11 @@ def test_the_papers_formula_shades_by_its_light_map() -> None:
     light, turn = Light((0.3, 0.2, 0.1), TWO), rotation_from_euler_deg(20, -35, 110)
     s, d = on_plane(box_model(), light), face_directions(24)
     cube = np.stack(
-        [0.5 + 0.2 * d[..., 0], 0.4 + 0.1 * d[..., 1] * d[..., 2], 0.6 - 0.3 * d[..., 2]],
+        [
+            0.5 + 0.2 * d[..., 0],
+            0.4 + 0.1 * d[..., 1] * d[..., 2],
+            0.6 - 0.3 * d[..., 2],
+        ],
         -1,
     )
     n = any_normals(s)
@@ -51,7 +55,11 @@ def test_the_papers_formula_shades_by_its_light_map() -> None:
     made = shaded(s, surface(s, n, far(s)), PRINTED, light_map=found)
     m = n @ turn.T
     of_map = np.stack(
-        [0.5 + 0.2 * m[..., 0], 0.4 + 0.1 * m[..., 1] * m[..., 2], 0.6 - 0.3 * m[..., 2]],
+        [
+            0.5 + 0.2 * m[..., 0],
+            0.4 + 0.1 * m[..., 1] * m[..., 2],
+            0.6 - 0.3 * m[..., 2],
+        ],
         -1,
     )
     np.testing.assert_allclose(
@@ -70,7 +78,9 @@ def test_the_papers_formula_shades_by_its_light_map() -> None:
     )  # the corrected formula knows lights alone
     np.testing.assert_allclose(same, 0.87 * light.radiance(n), atol=2e-6)
     with pytest.raises(RenderError, match="light map"):
-        shaded(s, surface(s, n, far(s)), PRINTED, light_map=CubeMap.of(cube[:, :1, :1]))
+        shaded(
+            s, surface(s, n, far(s)), PRINTED, light_map=CubeMap.of(cube[:, :1, :1])
+        )
 
 
 def test_a_light_that_the_plane_hides_takes_its_share_of_the_map() -> None:
@@ -86,4 +96,6 @@ def test_a_light_that_the_plane_hides_takes_its_share_of_the_map() -> None:
         PRINTED.model_copy(update={"plane_blocks": True}),
         light_map=constant,
     )
-    np.testing.assert_allclose(made[..., 0], 0.87 * 0.5 * 0.2 / (0.2 + lobe), atol=1e-5)
+    np.testing.assert_allclose(
+        made[..., 0], 0.87 * 0.5 * 0.2 / (0.2 + lobe), atol=1e-5
+    )

@@ -49,9 +49,9 @@ COC = 0.035
 def test_numbers_of_the_paper() -> None:
     d = printed_limits(EXAMPLE, COC)
     assert d.front_mm is not None and d.back_mm is not None
-    assert d.front_mm == pytest.approx(58.7428, abs=1e-4) and d.back_mm == pytest.approx(
-        61.6394, abs=1e-4
-    )
+    assert d.front_mm == pytest.approx(
+        58.7428, abs=1e-4
+    ) and d.back_mm == pytest.approx(61.6394, abs=1e-4)
     assert d.front_mm + d.back_mm == pytest.approx(120.3822, abs=1e-4)
     assert d.total_mm == pytest.approx(120.3125, abs=1e-4)
     assert d.hyperfocal_mm == pytest.approx(103_896.10, abs=0.01)
@@ -148,7 +148,10 @@ def test_inside_lies_between_the_printed_limits() -> None:
     out that L counts less F.
     """
     *_, sharp = at_distances()
-    front, back = eq4_front(11.0, COC, 2500.0, 200.0), eq5_back(11.0, COC, 2500.0, 200.0)
+    front, back = (
+        eq4_front(11.0, COC, 2500.0, 200.0),
+        eq5_back(11.0, COC, 2500.0, 200.0),
+    )
     assert back is not None
     assert [1e3 / d for d in sharp] == pytest.approx(
         [2500 + back, 2500 - front], rel=1e-12
@@ -185,9 +188,9 @@ def test_the_border_of_the_depth_of_field_is_smooth() -> None:
     dioptre = np.linspace(sharp[0] - 0.02, sharp[1] + 0.02, 2001)
     for border, step in ((0.0, 1 / 3), (0.5, 0.002), (1.0, 0.001)):
         factor = within_depth_of_field(dioptre, sharp, border)
-        assert factor.min() == pytest.approx(INSIDE) and factor[[0, -1]] == pytest.approx(
-            1.0
-        )
+        assert factor.min() == pytest.approx(INSIDE) and factor[
+            [0, -1]
+        ] == pytest.approx(1.0)
         assert (
             (np.abs(np.diff(factor)).max() > 0.3)
             if border == 0
@@ -202,7 +205,10 @@ def test_the_border_of_the_depth_of_field_is_smooth() -> None:
 
 
 def test_the_mean_keeps_what_stands_in_front_out_of_what_is_behind() -> None:
-    colour, dioptre = np.zeros((9, 20, 3), np.float32), np.full((9, 20), 0.5, np.float32)
+    colour, dioptre = (
+        np.zeros((9, 20, 3), np.float32),
+        np.full((9, 20), 0.5, np.float32),
+    )
     colour[:, 10:], dioptre[:, 10:] = 1.0, 2.0  # white, in front
     for n, edge in ((5, 2), (1, 0)):
         out = mean_filter(colour, dioptre, np.ones(n, np.float32))
@@ -224,7 +230,9 @@ def test_the_gaussian_does_not_ask_for_luminance() -> None:
     grey, y = np.full((2, 21, 21, 3), 0.5, np.float32), np.arange(21) - 10
     grey[0, 10, 10], grey[1, 10, 10] = 1.0, 0.0
     of = {
-        made: [made(made.Params(mean_px=5)).blurred(c, flat)[..., 0] - 0.5 for c in grey]
+        made: [
+            made(made.Params(mean_px=5)).blurred(c, flat)[..., 0] - 0.5 for c in grey
+        ]
         for made in (PrintedDof, GaussianDof)
     }
     bright, dark = of[GaussianDof]

@@ -176,7 +176,8 @@ def test_the_depth_buffer_holds_the_plane_the_object_and_what_was_measured() -> 
     normal = SEEN.pose.rotation[:, 2]
     depth = ray[2] * (normal @ SEEN.pose.translation_m) / (normal @ ray)
     assert (
-        buffer[int(pixel[1]), int(pixel[0])] == pytest.approx(1 - 0.1 / depth, abs=1e-5)
+        buffer[int(pixel[1]), int(pixel[0])]
+        == pytest.approx(1 - 0.1 / depth, abs=1e-5)
         and depth < 0.5
     )
     real = np.full((120, 160), 2.0)
@@ -216,7 +217,9 @@ def test_toon_keeps_the_models_colour_or_two_fifths_or_a_tenth_of_it_whatever_th
     angle = np.linspace(0, np.pi, 41)
     normal = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], -1)[None]
     colour = np.full((1, 41, 3), (0.8, 0.5, 0.2))
-    made = toon(colour, 3 * normal, np.array([0, 0, 2.0]), (0.5, 0.2), (1.0, 0.4, 0.1))
+    made = toon(
+        colour, 3 * normal, np.array([0, 0, 2.0]), (0.5, 0.2), (1.0, 0.4, 0.1)
+    )
     wanted = np.where(np.cos(angle) > 0.5, 1, np.where(np.cos(angle) > 0.2, 0.4, 0.1))
     np.testing.assert_allclose(made, wanted[None, :, None] * colour)
 
@@ -234,7 +237,9 @@ def test_toon_keeps_the_models_colour_or_two_fifths_or_a_tenth_of_it_whatever_th
     }  # fmt: skip
     for strength in (0.2, 3.0):
         f = SEEN.with_(
-            light=Light((0.3, 0.3, 0.3), (DirectionalLight((1, 0, 0), (strength,) * 3),))
+            light=Light(
+                (0.3, 0.3, 0.3), (DirectionalLight((1, 0, 0), (strength,) * 3),)
+            )
         )
         stage, view = seen(f, **parts)
         coded = stage.frame(view)
@@ -242,5 +247,7 @@ def test_toon_keeps_the_models_colour_or_two_fifths_or_a_tenth_of_it_whatever_th
         np.testing.assert_allclose(
             found, SRGB.encode(np.array(0.4)) * np.array([0.1, 0.4, 1]), atol=1e-4
         )
-        np.testing.assert_allclose(coded[~inside], SRGB.encode(np.array(0.5)), atol=1e-6)
+        np.testing.assert_allclose(
+            coded[~inside], SRGB.encode(np.array(0.5)), atol=1e-6
+        )
         assert coded[60, 105, 0] > coded[60, 90, 0] > coded[60, 60, 0]

@@ -50,7 +50,9 @@ def test_thirds_of_the_picture_lie_where_the_paper_puts_them() -> None:
     picture = np.zeros((90, 90, 3))
     picture[30:60, 60:, 0] = 1.0  # right
     picture[60:, 30:60, 1] = 1.0  # below
-    picture[30:60, 30:60, 2] = np.linspace(0, 1, 30)  # the middle, brighter to the right
+    picture[30:60, 30:60, 2] = np.linspace(
+        0, 1, 30
+    )  # the middle, brighter to the right
     levels = step3_mipmap(step3_environment(picture, 32))
     right, left, down, up, front, back = step4_environment(
         levels, np.vstack([np.eye(3), -np.eye(3)])[[0, 3, 1, 4, 2, 5]], 0.5
@@ -77,7 +79,9 @@ def test_a_wide_cone_sees_the_mean_of_what_is_around() -> None:
     ]  # a chessboard in front
     levels = step3_mipmap(step3_environment(picture, 32))
     ahead = np.array([[0.03, 0.03, 1.0]])
-    assert step4_environment(levels, ahead, 15.0)[0, 0] == pytest.approx(0.5, abs=0.01)
+    assert step4_environment(levels, ahead, 15.0)[0, 0] == pytest.approx(
+        0.5, abs=0.01
+    )
     assert abs(step4_environment(levels, ahead, 0.3)[0, 0] - 0.5) > 0.3
 
 
@@ -85,7 +89,9 @@ def test_no_line_shows_at_the_cubes_edges_that_is_not_in_the_cube() -> None:
     """Coarse levels have few texels, and are linear over the edges too."""
     smooth = (
         0.5
-        + 0.3 * face_directions(16) @ np.array([[1.0, 0, 0], [0, 1, 0], [0.6, 0, 0.8]]).T
+        + 0.3
+        * face_directions(16)
+        @ np.array([[1.0, 0, 0], [0, 1, 0], [0.6, 0, 0.8]]).T
     )
     levels = step3_mipmap(smooth)
     a = np.radians(np.linspace(0, 360, 721))

@@ -83,7 +83,8 @@ def test_a_black_object_hardly_darkens_the_plane() -> None:
     printed, corrected = run_gi(s, params=small()), run_gi(s, "draft")
     around = near(s, from_above(), printed)
     assert (
-        printed[Layer.SHADOW][around].mean() > 0.975 and printed[Layer.SHADOW].max() <= 1
+        printed[Layer.SHADOW][around].mean() > 0.975
+        and printed[Layer.SHADOW].max() <= 1
     )
     assert corrected[Layer.SHADOW][around].mean() < 0.93
 
@@ -112,7 +113,9 @@ def test_the_object_is_mirrored_in_the_plane_unless_that_is_switched_off() -> No
         ]
         for g in (0.0, gloss)
     ]
-    truth = (reference[1] - reference[0])[..., 0] - (reference[1] - reference[0])[..., 1]
+    truth = (reference[1] - reference[0])[..., 0] - (reference[1] - reference[0])[
+        ..., 1
+    ]
     y, x = np.mgrid[0 : CAMERA.height, 0 : CAMERA.width]
     middles = []
     for image in (mirrored, truth):
@@ -134,7 +137,9 @@ def test_what_stands_before_the_plane_is_left_alone(
     depth[:, :80] -= 0.1
     bare = gi_scenes.surface
     monkeypatch.setattr(
-        gi_scenes, "surface", lambda scene, f: bare(scene, f) | {Layer.REAL_DEPTH: depth}
+        gi_scenes,
+        "surface",
+        lambda scene, f: bare(scene, f) | {Layer.REAL_DEPTH: depth},
     )
     made = run_gi(s, pose=POSE, params=small())[Layer.SHADOW]
     assert (made[:, :80] == 1).all() and not (whole[Layer.SHADOW][:, :80] == 1).all()
@@ -202,12 +207,16 @@ def test_the_environment_counts_by_what_a_cone_lets_through() -> None:
         np.array([[0.0, 0.0, 1.0]]),
         np.array([[0.0, 0.0, -1.0]]),
     )
-    got = wide_cones(made, V, at, (step3_mipmap(np.full((6, 8, 8, 3), 0.5)), np.eye(3)))[
-        0
-    ]
+    got = wide_cones(
+        made, V, at, (step3_mipmap(np.full((6, 8, 8, 3), 0.5)), np.eye(3))
+    )[0]
     six, weights, tan_half = six_cones()
-    left = cone_trace(made, V, cone_steps(tan_half, n), at.position, six[None])[0, :, 3]
-    assert weights[0] == pytest.approx(0.25) and weights[1:] == pytest.approx([0.15] * 5)
+    left = cone_trace(made, V, cone_steps(tan_half, n), at.position, six[None])[
+        0, :, 3
+    ]
+    assert weights[0] == pytest.approx(0.25) and weights[1:] == pytest.approx(
+        [0.15] * 5
+    )
     assert (
         left.max() < 1
         and got[:3] == pytest.approx(0.5 * (weights @ left), rel=1e-3)

@@ -47,7 +47,9 @@ def test_both_shadow_maps() -> None:
         "texels of the real scene are the same in both"
     )
     np.testing.assert_allclose(
-        R_rho.radiance[shows], np.tile(ALBEDO * RGB * D[2], (shows.sum(), 1)), rtol=1e-5
+        R_rho.radiance[shows],
+        np.tile(ALBEDO * RGB * D[2], (shows.sum(), 1)),
+        rtol=1e-5,
     )
     top = shows & (R_mu.position[:, 2] > s.model_points_m[:, 2].max() - 1e-5)
     np.testing.assert_allclose(

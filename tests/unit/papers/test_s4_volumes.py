@@ -7,7 +7,13 @@ import pytest
 
 from arfx.papers.s4_cones import cone_trace
 from arfx.papers.s4_plane import step1_mesh
-from arfx.papers.s4_volumes import Volumes, morton, node_below, octree_of, step2_volumes
+from arfx.papers.s4_volumes import (
+    Volumes,
+    morton,
+    node_below,
+    octree_of,
+    step2_volumes,
+)
 from arfx.papers.s4_voxels import Volume
 from tests.unit.stages.gi_scenes import LAMP, MATT_RED, box, on_plane
 
@@ -81,9 +87,9 @@ def test_nothing_empty_is_stored_and_everything_else_is_found() -> None:
     cells = np.unique(np.random.default_rng(1).integers(0, N, (60, 3)), axis=0)
     made = filled(cells)
     ancestors = sum(len(np.unique(cells >> level, axis=0)) for level in range(5))
-    assert len(made.tree.eta) == ancestors and len(made.starts) == 4 == made.tree.depth, (
-        "n levels, n - 1 steps"
-    )
+    assert (
+        len(made.tree.eta) == ancestors and len(made.starts) == 4 == made.tree.depth
+    ), "n levels, n - 1 steps"
     assert (made.tree.eta[:, 3] > 0).all()
     stored = {tuple(c) for c in cells}
     lowest = made.rows_of(0).start
@@ -93,7 +99,8 @@ def test_nothing_empty_is_stored_and_everything_else_is_found() -> None:
         if node >= 0:
             assert made.codes[node - lowest] == morton(np.array([[x, y, z]]))[0]
             assert (
-                made.leaf_of(np.array([[x + 0.5, y + 0.5, z + 0.5]]))[0] == node - lowest
+                made.leaf_of(np.array([[x + 0.5, y + 0.5, z + 0.5]]))[0]
+                == node - lowest
             )
     assert (made.leaf_of(np.array([[-0.5, 3, 3], [3, 3, N + 0.5]])) == -1).all()
 
@@ -101,7 +108,9 @@ def test_nothing_empty_is_stored_and_everything_else_is_found() -> None:
 def test_the_root_is_the_mean_of_all_voxels() -> None:
     cells = np.unique(np.random.default_rng(2).integers(0, N, (60, 3)), axis=0)
     made, values = filled(cells), np.random.default_rng(3).random((len(cells), 3))
-    np.testing.assert_allclose(made.filtered(values)[0], values.sum(0) / N**3, rtol=1e-5)
+    np.testing.assert_allclose(
+        made.filtered(values)[0], values.sum(0) / N**3, rtol=1e-5
+    )
 
 
 def test_half_a_step() -> None:
@@ -152,6 +161,8 @@ def test_the_volume_of_normals_holds_the_plane_and_the_object() -> None:
 
 
 def test_the_octree_grows_with_the_surface() -> None:
-    (few, dense32), (many, dense64) = (scene_volumes(n).memory_bytes(4) for n in (32, 64))
+    (few, dense32), (many, dense64) = (
+        scene_volumes(n).memory_bytes(4) for n in (32, 64)
+    )
     assert dense64 / dense32 == pytest.approx(8, rel=1e-3) and many / few < 5
     assert many < 0.06 * dense64

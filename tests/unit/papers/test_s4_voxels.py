@@ -38,7 +38,8 @@ def test_surface_is_closed_and_where_it_belongs(n: int) -> None:
     grid[tuple((v.cells[v.opacity > 0.3] + 1).T)] = True
     outside = scipy.ndimage.label(~grid)[0]
     middle = (
-        np.floor((np.array([0, 0, 0.06]) - volume.low_m) / volume.voxel_m).astype(int) + 1
+        np.floor((np.array([0, 0, 0.06]) - volume.low_m) / volume.voxel_m).astype(int)
+        + 1
     )
     assert outside[tuple(middle)] != outside[0, 0, 0]
 
@@ -46,7 +47,9 @@ def test_surface_is_closed_and_where_it_belongs(n: int) -> None:
 def test_triangles_that_are_none_count_for_nothing() -> None:
     good = box_model(material=MATT_WHITE)
     p = good.parts[0]
-    vertices = np.concatenate([p.vertices, [[np.nan, 0, 0], [0, 0, 0], [0.2, 0.2, 0.2]]])
+    vertices = np.concatenate(
+        [p.vertices, [[np.nan, 0, 0], [0, 0, 0], [0.2, 0.2, 0.2]]]
+    )
     n = len(p.vertices)
     none = [[n, n + 1, n + 2], [n + 1, n + 1, n + 2], [n + 1, n + 2, n + 2]]
     faces = np.concatenate([p.faces, none]).astype(np.int32)
@@ -62,7 +65,9 @@ def test_triangles_that_are_none_count_for_nothing() -> None:
 def test_order_of_the_triangles_does_not_matter() -> None:
     s = on_plane(ball(MATT_RED), NIGHT)
     p = s.model.parts[0]
-    turned = replace(s, model=Model((replace(p, faces=p.faces[::-1].copy()),), up="z"))
+    turned = replace(
+        s, model=Model((replace(p, faces=p.faces[::-1].copy()),), up="z")
+    )
     a, b = voxels_of(s), voxels_of(turned)
     assert np.array_equal(a.cells, b.cells)
     np.testing.assert_allclose(a.opacity, b.opacity, atol=1e-5)
@@ -116,5 +121,7 @@ def test_cones_keep_their_angles_about_any_normal(z: float) -> None:
     normal = np.array([[np.sqrt(1 - z * z), 0, z]])
     directions = six_cones()[0]
     turned = around_normals(normal, directions)[0]
-    np.testing.assert_allclose(turned @ turned.T, directions @ directions.T, atol=1e-6)
+    np.testing.assert_allclose(
+        turned @ turned.T, directions @ directions.T, atol=1e-6
+    )
     np.testing.assert_allclose(turned @ normal[0], directions[:, 2], atol=1e-6)

@@ -28,7 +28,9 @@ ERRORS = Errors(
 def clip() -> list:
     """Two shots: ten frames near, four far."""
     near = [facts(SCENE, look_at(0.4), i) for i in range(10)]
-    return near + [replace(facts(SCENE, look_at(1.2), i), shot=1) for i in range(10, 14)]
+    return near + [
+        replace(facts(SCENE, look_at(1.2), i), shot=1) for i in range(10, 14)
+    ]
 
 
 def planned(wish: LevelPolicy):

@@ -34,7 +34,9 @@ def options(
         (0, "raster"): [
             option(n, s, e / 2) for n, s, e in zip(NAMES, raster, errors, strict=True)
         ],
-        (0, "dof"): [option(n, s, e) for n, s, e in zip(NAMES, dof, errors, strict=True)],
+        (0, "dof"): [
+            option(n, s, e) for n, s, e in zip(NAMES, dof, errors, strict=True)
+        ],
         (1, "dof"): [
             option(n, s / 10, e) for n, s, e in zip(NAMES, dof, errors, strict=True)
         ],

@@ -52,7 +52,13 @@ def pipeline(dof_rect: Rect = EMPTY, raster_rect: Rect = BOX) -> list[Any]:
 def plan(stages: list[Any], **kw: Any) -> Any:
     prices = Prices({f"{s.name}/{LEVEL}": Price({"mpx": 0.1}, 0.2) for s in stages})
     return plan_frame(
-        stages, {s.name: LEVEL for s in stages}, FACTS, SCENE, FRAME, prices=prices, **kw
+        stages,
+        {s.name: LEVEL for s in stages},
+        FACTS,
+        SCENE,
+        FRAME,
+        prices=prices,
+        **kw,
     )
 
 
@@ -70,12 +76,18 @@ def test_the_composite_covers_what_changes_and_no_more() -> None:
     )
 
 
-def test_a_blur_grows_what_earlier_steps_deliver_but_not_what_they_may_change() -> None:
+def test_a_blur_grows_what_earlier_steps_deliver_but_not_what_they_may_change() -> (
+    None
+):
     p = plan(pipeline(dof_rect=Rect(80, 70, 120, 100)))
     by = {s.stage: s for s in p.steps}
-    assert by["dof"].out == BOX.union(Rect(80, 70, 120, 100)).clip(Rect(80, 70, 120, 100))
+    assert by["dof"].out == BOX.union(Rect(80, 70, 120, 100)).clip(
+        Rect(80, 70, 120, 100)
+    )
     assert by["dof"].need == Rect(74, 64, 126, 106)
-    assert by["raster"].out == BOX, "rendering outside the model's box would be wasted"
+    assert by["raster"].out == BOX, (
+        "rendering outside the model's box would be wasted"
+    )
     assert p.changed == BOX.union(Rect(80, 70, 120, 100)) and p.rect.contains(
         by["dof"].need
     )

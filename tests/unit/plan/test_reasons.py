@@ -127,7 +127,9 @@ def reason(name: str, s: Scene, f: FrameFacts, settings: dict) -> str | None:
     return None if said is None else re.sub(r"(?<![\w.])\d+(?:\.\d+)?", "#", said)
 
 
-@pytest.mark.parametrize(("name", "words"), GIVEN, ids=[f"{n}: {w}" for n, w in GIVEN])
+@pytest.mark.parametrize(
+    ("name", "words"), GIVEN, ids=[f"{n}: {w}" for n, w in GIVEN]
+)
 def test_the_reason_is_given(name: str, words: str) -> None:
     assert reason(name, *GIVEN[name, words]) == words
 

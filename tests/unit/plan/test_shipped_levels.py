@@ -46,7 +46,12 @@ def seconds(stage: str, level: str) -> float:
         for s in stages
     }
     plan = plan_frame(
-        stages, levels, at.facts, at.scene, at.scene.camera.rect, prices=shipped_prices()
+        stages,
+        levels,
+        at.facts,
+        at.scene,
+        at.scene.camera.rect,
+        prices=shipped_prices(),
     )
     return next(s.seconds for s in plan.steps if s.stage == stage)
 

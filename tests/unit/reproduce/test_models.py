@@ -15,7 +15,9 @@ from arfx.reproduce.work import MODELS, Work
     ("name", "faces"),
     [("apple", 4000), ("teapot", 6000), ("aeroplane", 21000), ("cube", 12)],
 )
-def test_as_many_faces_as_the_table_says(name: str, faces: int, tmp_path: Path) -> None:
+def test_as_many_faces_as_the_table_says(
+    name: str, faces: int, tmp_path: Path
+) -> None:
     assert load_model(Work(tmp_path).model(name)).face_count == faces
 
 

@@ -33,7 +33,9 @@ def test_a_verdict_follows_from_the_values() -> None:
     assert row("a", "58.7", (58.7428, 54.1451), reason="why").verdict == DIFFERS
     assert row("a", "58.7", 58.76, reason="why").verdict == DIFFERS
     assert (
-        row("a", "126.746", (None, 120.38), reason="its inputs are not stated").verdict
+        row(
+            "a", "126.746", (None, 120.38), reason="its inputs are not stated"
+        ).verdict
         == UNDERIVED
     )
     assert row("a", "14", 16.0, reason="why", tolerance=2).verdict == HOLDS

@@ -55,4 +55,6 @@ def test_the_corrected_measure_of_a_slope_is_the_printed_one_of_a_step() -> None
 def test_cells_of_a_plane_follow_its_depth_in_the_corrected_form_alone() -> None:
     depth, printed, corrected = measure.areas_on_plane(4, 1)
     assert (np.diff(depth) < 0).all() and depth[0] > 2 * depth[-1]
-    assert np.ptp(printed) < 0.05 * printed.mean() and corrected[0] > 1.8 * corrected[-1]
+    assert (
+        np.ptp(printed) < 0.05 * printed.mean() and corrected[0] > 1.8 * corrected[-1]
+    )

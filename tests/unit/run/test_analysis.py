@@ -64,14 +64,19 @@ def begins_again(path: Path) -> Path:
     """
     one = write_clip(path / "one.ts", FRAMES // 2).read_bytes()
     two = write_clip(
-        path / "two.ts", FRAMES // 2, container={"mpegts_flags": "initial_discontinuity"}
+        path / "two.ts",
+        FRAMES // 2,
+        container={"mpegts_flags": "initial_discontinuity"},
     ).read_bytes()
     (path / "twice.ts").write_bytes(one + two)
     return path / "twice.ts"
 
 
 def analysed(
-    clip: Path, job: Path, stop: int | None = None, folds: frozenset[str] = frozenset()
+    clip: Path,
+    job: Path,
+    stop: int | None = None,
+    folds: frozenset[str] = frozenset(),
 ) -> AnalysisPass:
     """Raises KeyboardInterrupt at frame `stop`."""
 
@@ -119,7 +124,9 @@ def test_an_interrupted_analysis_leaves_the_same_bytes(
     whole = written(
         analysed(clip, tmp_path / "whole", None, folds), tmp_path / "whole.jsonl"
     )
-    assert len(whole[2]) > 0.9 * FRAMES and (make is cut_short) == (whole[4] is not None)
+    assert len(whole[2]) > 0.9 * FRAMES and (make is cut_short) == (
+        whole[4] is not None
+    )
     for stop in stops:  # one job, interrupted again and again
         with pytest.raises(KeyboardInterrupt):
             analysed(clip, tmp_path / "often", stop, folds)

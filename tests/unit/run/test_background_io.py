@@ -55,7 +55,9 @@ def test_no_more_than_depth_wait_and_the_thread_ends_on_leaving():
 
 def test_what_is_put_is_taken_in_order_in_another_thread():
     taken = []
-    with behind(lambda k: taken.append((k, threading.current_thread())), depth=2) as put:
+    with behind(
+        lambda k: taken.append((k, threading.current_thread())), depth=2
+    ) as put:
         for k in range(50):
             put(k)
     assert [k for k, _ in taken] == list(range(50))

@@ -60,7 +60,9 @@ def test_chunks_of_an_unfinished_job_are_no_clips(tmp_path: Path) -> None:
 
 def test_a_clip_named_twice_is_one(tmp_path: Path) -> None:
     touch(tmp_path, "a.mp4", "b.mp4")
-    assert [j.clip.name for j in jobs(tmp_path / "b.mp4", tmp_path, f"{tmp_path}/*")] == [
+    assert [
+        j.clip.name for j in jobs(tmp_path / "b.mp4", tmp_path, f"{tmp_path}/*")
+    ] == [
         "b.mp4",
         "a.mp4",
     ]
@@ -91,7 +93,9 @@ def test_names_of_reports_are_distinct(tmp_path: Path) -> None:
     assert [str(names_of(found)[j]) for j in found] == ["a.mp4", "a.mkv", "p/c", "f"]
 
 
-def test_the_folder_of_all_outputs_does_not_change_with_the_clips(tmp_path: Path) -> None:
+def test_the_folder_of_all_outputs_does_not_change_with_the_clips(
+    tmp_path: Path,
+) -> None:
     """Red with the outputs' own folders: of one clip it would be out/a."""
     touch(tmp_path, "a.mp4", "b.mp4")
     pattern = str(tmp_path / "out/{stem}/x.mp4")

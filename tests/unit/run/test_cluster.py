@@ -87,15 +87,21 @@ def test_without_the_extra_it_is_said_what_to_install(
         open_cluster(ClusterSpec.parse("local:1"), (), print),
     ):
         pass
-    assert "pip install 'arfx[cluster]'" in said.value.hint and said.value.exit_code == 2
+    assert (
+        "pip install 'arfx[cluster]'" in said.value.hint and said.value.exit_code == 2
+    )
 
 
-def test_slurm_that_is_not_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_slurm_that_is_not_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "slurm.toml").write_text('cores = 1\nmemory = "1GB"')
     monkeypatch.setenv("PATH", str(tmp_path))
     with (
         pytest.raises(ConfigError, match="there is no sbatch here"),
-        open_cluster(ClusterSpec.parse(f"slurm:{tmp_path / 'slurm.toml'}"), (), print),
+        open_cluster(
+            ClusterSpec.parse(f"slurm:{tmp_path / 'slurm.toml'}"), (), print
+        ),
     ):
         pass
 
@@ -170,7 +176,9 @@ def served(tmp_path: Path) -> Iterator[tuple[str, list[str]]]:
     with http.server.ThreadingHTTPServer(
         ("127.0.0.1", 0), functools.partial(Handler, directory=str(tmp_path / "here"))
     ) as server:
-        threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
+        threading.Thread(
+            target=server.serve_forever, args=(0.02,), daemon=True
+        ).start()
         yield f"http://127.0.0.1:{server.server_port}", asked
         server.shutdown()
 
@@ -186,7 +194,10 @@ def test_a_file_is_fetched_once(
     address, asked = served
     bundle = of(
         *model,
-        at=("/nowhere/a model.obj", PathMap(model[0].parent, address).of(model[0]) or ""),
+        at=(
+            "/nowhere/a model.obj",
+            PathMap(model[0].parent, address).of(model[0]) or "",
+        ),
     )
     path = find(bundle)
     assert path.is_relative_to(tmp_path / "cache") and path.read_bytes() == b"model"
@@ -238,7 +249,9 @@ def test_names_of_unfinished_files_are_arfxs_own() -> None:
     assert re.fullmatch(
         _CHUNK, f"{process_name()}-140-000000-000029.0123456789abcdef.nut.part"
     )
-    assert not re.fullmatch(_CHUNK, "my-notes-000000-000029.0123456789abcdef.nut.part")
+    assert not re.fullmatch(
+        _CHUNK, "my-notes-000000-000029.0123456789abcdef.nut.part"
+    )
 
 
 def test_the_time_of_each_worker(tmp_path: Path) -> None:
@@ -258,9 +271,13 @@ def test_the_time_of_each_worker(tmp_path: Path) -> None:
             first=first,
             last=last,
         )
-    log.note(CHUNK, "c", {"decode": 1.0}, worker=1, host="h", first=0, last=1)  # damaged
+    log.note(
+        CHUNK, "c", {"decode": 1.0}, worker=1, host="h", first=0, last=1
+    )  # damaged
     for name in ("s", "made otherwise later"):
-        log.note(STRETCH, name, {"analyse": 4.0}, worker="2", host="h", first=0, last=59)
+        log.note(
+            STRETCH, name, {"analyse": 4.0}, worker="2", host="h", first=0, last=59
+        )
     log.note(ANALYSIS, "facts", {"analyse": 4.5}, stretches=["s"])
     spent = log.spent("facts", "abc")
     assert spent.workers == (
@@ -287,7 +304,9 @@ def test_the_time_of_each_worker(tmp_path: Path) -> None:
 
 
 def reference(work: str = CHUNK) -> remote.JobReference:
-    return remote.JobReference("run", "key", ".nut" if work == CHUNK else None, (), ())
+    return remote.JobReference(
+        "run", "key", ".nut" if work == CHUNK else None, (), ()
+    )
 
 
 def test_a_worker_leaves_a_chunk_that_nobody_wants(
@@ -335,7 +354,9 @@ def test_a_full_disk_on_a_worker_ends_the_job_with_its_own_error(
         try:
             raise av.error.OSError(28, "No space left on device", "file")
         except OSError as e:
-            raise RenderError(f"cannot be written: {e.strerror}", "free space") from None
+            raise RenderError(
+                f"cannot be written: {e.strerror}", "free space"
+            ) from None
 
     monkeypatch.setattr(remote, "_worker", lambda: worker)
     monkeypatch.setattr(remote, "render_chunk", render_chunk)
@@ -367,7 +388,9 @@ def test_what_ends_a_stretch_says_the_same_from_a_worker(
     monkeypatch.setattr(remote, "_worker", lambda: worker)
     monkeypatch.setattr(remote, "analyse_stretch", analyse_stretch)
     monkeypatch.setitem(
-        remote._placed, "run", remote._Placed(reference(STRETCH), JobFolder(tmp_path), ())
+        remote._placed,
+        "run",
+        remote._Placed(reference(STRETCH), JobFolder(tmp_path), ()),
     )
     with pytest.raises(FrameTimesError, match=r"backwards \(on worker w"):
         remote.work("run", [(0, 29, "name")])

@@ -87,7 +87,9 @@ def test_what_follows_damage_is_read_and_what_is_missing_counted(
         assert reader.truncated is None
         times = reader.times()
     missing = missing_frames(shown, [] if times is None else times.pts)
-    assert len(shown) + sum(count for _, count in missing) == N and len(shown) > N // 2
+    assert (
+        len(shown) + sum(count for _, count in missing) == N and len(shown) > N // 2
+    )
     at = [
         float((t - shown[0]) * info.time_base * 30)
         for t in (shown[-1], *(t for t, _ in missing))
@@ -139,7 +141,9 @@ def test_a_lost_packet_is_told_and_both_passes_give_the_same_frames(
     report, said = finished(clip, tmp_path / "out.mkv")
     health = {h["check"]: h for h in report["health"]}
     missing = health["frames missing in the source"]["value"]
-    assert len(packets(tmp_path / "out.mkv", "video")) == N - missing and missing <= 12
+    assert (
+        len(packets(tmp_path / "out.mkv", "video")) == N - missing and missing <= 12
+    )
     assert (
         health["source file"]["value"] == "damaged"
         and report["input"]["truncated"] is None
@@ -198,7 +202,9 @@ def test_a_clip_that_ends_in_damage_is_still_said_to_be_cut(
     )
     found = analysed(tmp_path / "cut.ts", tmp_path / "job")
     assert found.careful and 40 < len(found.pts) < 70 and found.missing == []
-    clip = make_clip(tmp_path / "a.mp4", [512 * i for i in range(30)], options={"g": "1"})
+    clip = make_clip(
+        tmp_path / "a.mp4", [512 * i for i in range(30)], options={"g": "1"}
+    )
     with av.open(str(clip)) as c:
         last = [p for p in c.demux(video=0) if p.size][-2:]
     whole = bytearray(clip.read_bytes())

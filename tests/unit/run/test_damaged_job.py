@@ -105,7 +105,9 @@ def sha(path: Path) -> str:
 
 def changed_number(data: bytes) -> bytes:
     """Still of the same form: a digit in the middle is another one."""
-    at = next(i for i in range(len(data) // 2, len(data)) if data[i : i + 1].isdigit())
+    at = next(
+        i for i in range(len(data) // 2, len(data)) if data[i : i + 1].isdigit()
+    )
     return data[:at] + (b"7" if data[at : at + 1] != b"7" else b"3") + data[at + 1 :]
 
 
@@ -138,9 +140,13 @@ def test_a_damaged_piece_is_made_anew(
     shutil.copytree(done / "job", job)
     for each in FILES[:-1] if name == "all" else [name]:
         path = next(job.glob(each), job / each)
-        path.write_bytes(WAYS[way](path.read_bytes() if path.exists() else b"x1" * 99))
+        path.write_bytes(
+            WAYS[way](path.read_bytes() if path.exists() else b"x1" * 99)
+        )
     report = run(done, out, job)
-    assert sha(out) == sha(done / "whole.mp4") and report["output"]["frames"] == FRAMES
+    assert (
+        sha(out) == sha(done / "whole.mp4") and report["output"]["frames"] == FRAMES
+    )
     out.unlink()
 
 
@@ -158,7 +164,9 @@ def test_maps_of_the_surroundings_are_kept_beside_the_facts_and_made_anew(
     assert job.facts.stat().st_size < 50_000 * FRAMES
     first, kept = sha(tmp_path / "out.mp4"), job.environment.read_bytes()
     job.environment.unlink()
-    process(given, Options(job.path, resume=True, overwrite=True, notice=lambda _: None))
+    process(
+        given, Options(job.path, resume=True, overwrite=True, notice=lambda _: None)
+    )
     assert (sha(tmp_path / "out.mp4"), job.environment.read_bytes()) == (first, kept)
 
 
@@ -184,7 +192,9 @@ def test_missing_pieces_are_made_anew(done: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("way", ["cut", "digit", "other"])
-def test_a_damaged_stretch_is_not_taken_up(done: Path, tmp_path: Path, way: str) -> None:
+def test_a_damaged_stretch_is_not_taken_up(
+    done: Path, tmp_path: Path, way: str
+) -> None:
     job, out = tmp_path / "job", done / "out.mp4"
     shutil.copytree(done / "early", job)
     (path,) = (job / "stretches").iterdir()
@@ -216,7 +226,9 @@ def test_the_report_of_a_damaged_job_is_a_report_or_a_message(
 
 
 @pytest.mark.usefixtures("no_plot")
-def test_reports_whose_numbers_are_of_another_kind(done: Path, tmp_path: Path) -> None:
+def test_reports_whose_numbers_are_of_another_kind(
+    done: Path, tmp_path: Path
+) -> None:
     shutil.copytree(done / "finished", tmp_path / "job")
     path = tmp_path / "job" / "report.json"
     report = json.loads(path.read_text())

@@ -34,7 +34,12 @@ def tasks(folder: Path, count: int = 2) -> list[Task]:
 
 
 def tell(
-    folder: str, key: str, first: int, last: int, target: str, tick: Callable[[], None]
+    folder: str,
+    key: str,
+    first: int,
+    last: int,
+    target: str,
+    tick: Callable[[], None],
 ) -> dict[str, Any]:
     """Who works here, and in what; not before both have a task."""
     tick()
@@ -53,7 +58,12 @@ def tell(
 
 
 def fail(
-    folder: str, key: str, first: int, last: int, target: str, tick: Callable[[], None]
+    folder: str,
+    key: str,
+    first: int,
+    last: int,
+    target: str,
+    tick: Callable[[], None],
 ) -> dict[str, Any]:
     """The second fails when the first is at work; the first would go on for ever."""
     tick()
@@ -111,7 +121,10 @@ def test_an_error_in_one_process_stops_all(
     tmp_path: Path, last: int, message: str
 ) -> None:
     given = [(str(tmp_path), "key", k, last, "target") for k in range(2)]
-    with Processes() as processes, pytest.raises(RenderError, match=message) as raised:
+    with (
+        Processes() as processes,
+        pytest.raises(RenderError, match=message) as raised,
+    ):
         list(processes.run(given, 2, lambda _: None, fail))
     assert raised.value.hint
     assert ended({int(path.name[2:]) for path in tmp_path.iterdir()})
@@ -140,7 +153,9 @@ def test_an_error_beside_the_workers_stops_them(
         scene=scene(),
     )  # fmt: skip
     processes: Any = SimpleNamespace(run=run)
-    with pytest.raises(OSError) as kept:  # holds the traceback, and with it the generator
+    with pytest.raises(
+        OSError
+    ) as kept:  # holds the traceback, and with it the generator
         job._render(
             planned,
             [Chunk(0, 1, "a"), Chunk(2, 3, "b")],

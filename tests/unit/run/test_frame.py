@@ -67,7 +67,9 @@ class Bad(Stage):
 
 def test_a_value_that_is_not_finite_stops_with_stage_frame_and_pixel() -> None:
     rect = Rect(5, 6, 25, 26)
-    plan = FramePlan(7, rect, rect, (Step("bad", "standard", rect, rect, "", 0.0),), ())
+    plan = FramePlan(
+        7, rect, rect, (Step("bad", "standard", rect, rect, "", 0.0),), ()
+    )
     with pytest.raises(
         RenderError, match=r"'bad' made 1 pixels.*frame 7, first at x 9, y 9"
     ):
@@ -138,13 +140,19 @@ def test_object_and_shadow_are_written_in_linear_light(
     """The stored picture's light is the plate's times the shadow, to a step; what neither
     reaches keeps its bits.
     """
-    stages: dict[str, Any] = {"paint": Spot(), "shade": Shade(), "composite": Composite()}
+    stages: dict[str, Any] = {
+        "paint": Spot(),
+        "shade": Shade(),
+        "composite": Composite(),
+    }
     levels = {n: LEVEL for n in stages}
     f = FACTS.with_(
         opacity=0.9, bias_rgb=(bias, bias, bias), model_box=Rect(42, 32, 58, 48)
     )
     plan = plan_frame(list(stages.values()), levels, f, SCENE, SCENE.camera.rect)
-    picture = frame(pixel_format, SCENE.camera.width, SCENE.camera.height, smooth=True)
+    picture = frame(
+        pixel_format, SCENE.camera.width, SCENE.camera.height, smooth=True
+    )
     plate = Plate(plan.rect, picture.linear)
     found = run_frame(plate, f, plan, ready_stages(plan, stages, SCENE))
     assert plan.changed == Rect(20, 20, 90, 80)
@@ -210,7 +218,8 @@ def test_composite_leaves_bare_pixels_bit_identical() -> None:
             Layer.PLATE: plate,
             Layer.IMAGE: plate,
             **{
-                n: neutral(n, rect) for n in (Layer.VIRTUAL, Layer.COVERAGE, Layer.SHADOW)
+                n: neutral(n, rect)
+                for n in (Layer.VIRTUAL, Layer.COVERAGE, Layer.SHADOW)
             },
         },
     )

@@ -19,7 +19,9 @@ from arfx.stages.gi.health import LIMIT, furnace_mean, seam_ratio, seams
 from tests.scenes import facts, scene
 
 
-def test_a_smooth_environment_has_no_seam_and_a_face_of_another_brightness_has() -> None:
+def test_a_smooth_environment_has_no_seam_and_a_face_of_another_brightness_has() -> (
+    None
+):
     d = face_directions(8)
     smooth = 0.5 + 0.3 * d[..., :1] + 0.2 * d[..., 1:2] * np.ones(3)
     assert seam_ratio(smooth) < 1.6

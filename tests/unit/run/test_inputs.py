@@ -41,7 +41,9 @@ def test_a_toml_layout(tmp_path: Path) -> None:
 
 def test_a_layout_names_a_pattern_by_its_file(tmp_path: Path) -> None:
     path = tmp_path / "map.toml"
-    path.write_text('[[marker]]\nspec = "wall poster.png"\nposition = ["1m","0m","0m"]\n')
+    path.write_text(
+        '[[marker]]\nspec = "wall poster.png"\nposition = ["1m","0m","0m"]\n'
+    )
     config = load(
         None,
         {
@@ -68,7 +70,9 @@ def test_a_wpilib_layout_has_z_out_and_is_turned_like_opencv(tmp_path: Path) -> 
         poses["36h11:3"].rotation
     ) == pytest.approx(1)
     np.testing.assert_allclose(
-        poses["36h11:3"].apply(np.eye(3)), [[1, 1, 3], [1, 2, 2], [2, 2, 3]], atol=1e-12
+        poses["36h11:3"].apply(np.eye(3)),
+        [[1, 1, 3], [1, 2, 2], [2, 2, 3]],
+        atol=1e-12,
     )
 
 
@@ -88,19 +92,29 @@ def test_layouts_that_do_not_serve_are_refused(tmp_path: Path, text: str) -> Non
         marker_map(job(tmp_path, path))  # type: ignore[arg-type]
 
 
-def test_the_anchor_is_the_first_configured_marker_with_a_place(tmp_path: Path) -> None:
+def test_the_anchor_is_the_first_configured_marker_with_a_place(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "map.toml"
     path.write_text("")
     config = job(tmp_path, path)
-    assert anchor_marker(config.markers, {"36h11:4": Pose.identity()}).key == "36h11:4"  # type: ignore[attr-defined]
+    assert (
+        anchor_marker(config.markers, {"36h11:4": Pose.identity()}).key == "36h11:4"
+    )  # type: ignore[attr-defined]
 
 
 def test_pipelines_name_existing_effects_in_order() -> None:
     config = load(None, {"pipeline": {"stages": ["watercolour"]}}, parameters())
     with pytest.raises(ConfigError, match="watercolour"):
         pipeline(config)
-    for stages in ("auto", [], ["lightmap"]):  # light and shadow are part of every job
-        assert pipeline(load(None, {"pipeline": {"stages": stages}}, parameters())) == (
+    for stages in (
+        "auto",
+        [],
+        ["lightmap"],
+    ):  # light and shadow are part of every job
+        assert pipeline(
+            load(None, {"pipeline": {"stages": stages}}, parameters())
+        ) == (
             "raster",
             "lightmap",
             "composite",
@@ -121,7 +135,13 @@ def test_the_middle_of_the_base_stands_on_the_marker_whichever_axis_is_up(
     side = np.roll(t, 1)
     vertices = np.array([5 * t * 0 + 3, 3 + side, 3 + np.roll(t, 2), 3 + 4 * t])
     model = Model(
-        (Part(vertices, np.array([[0, 1, 3], [1, 2, 3]], np.int32), np.tile(t, (4, 1))),),
+        (
+            Part(
+                vertices,
+                np.array([[0, 1, 3], [1, 2, 3]], np.int32),
+                np.tile(t, (4, 1)),
+            ),
+        ),
         up=up,
     )
     config = load(

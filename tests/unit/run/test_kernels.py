@@ -149,12 +149,18 @@ def test_types_are_read_as_they_are_written() -> None:
         Pair(np.zeros(2), np.zeros(2)),
         Pair(np.zeros(2), np.zeros((2, 2), np.uint8)),
     )
-    for arguments in ((3,), (alike, True, np.float32(1)), (Both(mixed, 2), alike), ()):
+    for arguments in (
+        (3,),
+        (alike, True, np.float32(1)),
+        (Both(mixed, 2), alike),
+        (),
+    ):
         types = tuple(map(numba.typeof, arguments))
         text = signature(types)
         assert kernels._types(text) == types
         assert (
-            not any(isinstance(a, Pair) for a in arguments) or f"{__name__}.Pair(" in text
+            not any(isinstance(a, Pair) for a in arguments)
+            or f"{__name__}.Pair(" in text
         )
 
 
@@ -182,17 +188,23 @@ def test_compiling_is_no_part_of_a_jobs_time(
     monkeypatch.setattr(job, "WorkLog", log)
     monkeypatch.setattr(job, "job_keys", stop)
     config = SimpleNamespace(
-        input=SimpleNamespace(clip="clip.mp4"), model=SimpleNamespace(file="model.glb")
+        input=SimpleNamespace(clip="clip.mp4"),
+        model=SimpleNamespace(file="model.glb"),
     )
     with pytest.raises(KeyboardInterrupt):
         job.plan_job(
-            SimpleNamespace(config=config), JobFolder(Path("job")), job.Options(), started
+            SimpleNamespace(config=config),
+            JobFolder(Path("job")),
+            job.Options(),
+            started,
         )  # type: ignore[arg-type]
     since = 0 if started is None else 5.0 - started
     assert clock[0] - logs[0].began == since
 
 
-def test_what_is_compiled_is_told_in_words(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_compiled_is_told_in_words(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     with Progress() as progress:
         progress("compile", 12, 31)
         progress("render", 12, 31)

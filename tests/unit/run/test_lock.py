@@ -95,5 +95,8 @@ def test_what_was_in_the_folder_stays(tmp_path: Path) -> None:
 def test_a_place_that_cannot_be_written_is_one_message(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     for folder in (tmp_path / "file", tmp_path / "file" / "job"):
-        with pytest.raises(RenderError, match="cannot write into"), locked(folder, "-o"):
+        with (
+            pytest.raises(RenderError, match="cannot write into"),
+            locked(folder, "-o"),
+        ):
             pass

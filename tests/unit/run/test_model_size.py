@@ -23,7 +23,9 @@ CAMERA = Camera(320, 240, np.array([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]]))
 DOWN = Pose(
     rotation_from_euler_deg(180, 0, 0), np.array([0.0, 0.0, 0.5])
 )  # half a metre above the print
-FACTS = [FrameFacts(i, i / 25, status=MEASURED, camera_from_world=DOWN) for i in range(4)]
+FACTS = [
+    FrameFacts(i, i / 25, status=MEASURED, camera_from_world=DOWN) for i in range(4)
+]
 
 
 def scene(side: float, inward: bool = False) -> Scene:
@@ -57,16 +59,24 @@ def test_sizes_that_fit_say_nothing() -> None:
 def test_scale_counts() -> None:
     s = scene(200.0)
     assert (
-        check_size(replace(s, world_from_model=np.diag([1e-3, 1e-3, 1e-3, 1.0])), FACTS)
+        check_size(
+            replace(s, world_from_model=np.diag([1e-3, 1e-3, 1e-3, 1.0])), FACTS
+        )
         == []
     )
 
 
 @pytest.mark.parametrize(("side", "word"), [(0.004, "small"), (20.0, "large")])
-def test_what_does_not_fit_is_a_notice_with_the_way_out(side: float, word: str) -> None:
+def test_what_does_not_fit_is_a_notice_with_the_way_out(
+    side: float, word: str
+) -> None:
     """The large one is a room seen from within, else the camera would be inside it."""
     (notice,) = check_size(scene(side, inward=True), FACTS)
-    assert f"the object is {word}" in notice and "--scale" in notice and "--fit" in notice
+    assert (
+        f"the object is {word}" in notice
+        and "--scale" in notice
+        and "--fit" in notice
+    )
 
 
 def test_a_camera_inside_the_object_is_an_error() -> None:
@@ -83,7 +93,9 @@ def test_a_camera_inside_the_object_is_an_error() -> None:
         scene(20.0),
         world_from_model=np.array(Pose(np.eye(3), np.array([30.0, 0, 0])).matrix),
     )
-    assert len(check_size(beside, FACTS)) == 1, "in its box only once it is moved aside"
+    assert len(check_size(beside, FACTS)) == 1, (
+        "in its box only once it is moved aside"
+    )
 
 
 def test_no_pose_no_word() -> None:

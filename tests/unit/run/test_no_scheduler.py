@@ -18,7 +18,9 @@ def test_what_is_no_scheduler_or_silent_is_told_soon(
     says: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("distributed")
-    assert start.CONNECT_S + start.CLOSE_S <= 10 and crew.SILENT_S + start.CLOSE_S <= 10
+    assert (
+        start.CONNECT_S + start.CLOSE_S <= 10 and crew.SILENT_S + start.CLOSE_S <= 10
+    )
     monkeypatch.setattr(start, "CONNECT_S", 0.5)
     with socket.create_server(("127.0.0.1", 0)) as server:
 

@@ -14,7 +14,11 @@ def test_an_output_counts_as_it_was_made(tmp_path: Path) -> None:
     out.write_bytes(b"1")
     OutputsMade(tmp_path).note(out, "key", 2.5, 30)
     made = OutputsMade(tmp_path).of(out)
-    assert made is not None and (made.key, made.seconds, made.frames) == ("key", 2.5, 30)
+    assert made is not None and (made.key, made.seconds, made.frames) == (
+        "key",
+        2.5,
+        30,
+    )
     assert (
         OutputsMade(tmp_path).files() == {out}
         and OutputsMade(tmp_path).of(tmp_path / "b.mp4") is None
@@ -41,11 +45,11 @@ def test_images_count_together(tmp_path: Path) -> None:
 def test_damaged_lines_lose_themselves_alone(tmp_path: Path) -> None:
     out = tmp_path / "a.mp4"
     out.write_bytes(b"1")
-    endless = (
-        b'{"output": "c.mp4", "key": "k", "files": "f", "seconds": 1, "frames": Infinity}'
-    )
+    endless = b'{"output": "c.mp4", "key": "k", "files": "f", "seconds": 1, "frames": Infinity}'
     (tmp_path / NAME).write_bytes(
-        b'{"output": 3}\n[]\n' + endless + b'\n\xff\n{"output": "b.mp4", "key": "k", "fi'
+        b'{"output": 3}\n[]\n'
+        + endless
+        + b'\n\xff\n{"output": "b.mp4", "key": "k", "fi'
     )
     OutputsMade(tmp_path).note(out, "key", 1.0, 1)
     assert OutputsMade(tmp_path).files() == {out}

@@ -45,7 +45,9 @@ def squeezed(
 
 
 def opened(clip: Path, camera: Path | None) -> tuple[Camera, list[str]]:
-    over = {"input": {"clip": str(clip), **({"camera": str(camera)} if camera else {})}}
+    over = {
+        "input": {"clip": str(clip), **({"camera": str(camera)} if camera else {})}
+    }
     _, found, notices = open_clip(load(None, over, parameters()))
     return found, notices
 
@@ -56,9 +58,10 @@ def test_a_squeezed_clip_has_the_camera_of_the_square_one(
     tmp_path: Path, calibrated: str, turned: bool
 ) -> None:
     info, _ = squeezed(tmp_path / "a.mp4", 288, ASPECT, turned)
-    assert (info.width, info.height) == (288, 216) and info.pixel_aspect == pytest.approx(
-        4 / 3
-    )
+    assert (info.width, info.height) == (
+        288,
+        216,
+    ) and info.pixel_aspect == pytest.approx(4 / 3)
     square = Camera.guess(*SHOWN) if calibrated == "guess" else clip_camera(*SHOWN)
     wanted = square.scaled_to(288, 216, 4 / 3)
     file = None
@@ -80,7 +83,9 @@ def test_the_marker_is_seen_in_the_same_directions_in_both(tmp_path: Path) -> No
         (marker,) = MarkerDetector(["36h11"], 12.0).search(image[..., 1].copy())
         corners = pose_at(0, 2).apply(MARKER.corners_m)
         np.testing.assert_allclose(
-            camera.normalised(marker.quad_px), corners[:, :2] / corners[:, 2:], atol=0.012
+            camera.normalised(marker.quad_px),
+            corners[:, :2] / corners[:, 2:],
+            atol=0.012,
         )  # 2 px
 
 

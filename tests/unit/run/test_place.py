@@ -14,7 +14,13 @@ import numpy as np
 import pytest
 
 from arfx.config.load import load
-from arfx.errors import ArfxError, ConfigError, InputError, NothingToDoError, RenderError
+from arfx.errors import (
+    ArfxError,
+    ConfigError,
+    InputError,
+    NothingToDoError,
+    RenderError,
+)
 from arfx.run.folder import MARK, JobFolder
 from arfx.run.inputs import Inputs, open_inputs
 from arfx.run.lock import locked
@@ -105,7 +111,10 @@ def places(
 
 def snapshot(folder: Path) -> dict[str, object]:
     return {
-        p.relative_to(folder).as_posix(): (p.is_symlink(), p.is_file() and p.read_bytes())
+        p.relative_to(folder).as_posix(): (
+            p.is_symlink(),
+            p.is_file() and p.read_bytes(),
+        )
         for p in folder.rglob("*")
     }
 
@@ -129,7 +138,8 @@ def test_a_model_of_the_same_name_in_another_folder_is_another(
         shutil.copytree(made, place)
         monkeypatch.chdir(place)
         known = {
-            path.resolve() for _, path in files_read(inputs(Path(), tmp_path / "o.mp4"))
+            path.resolve()
+            for _, path in files_read(inputs(Path(), tmp_path / "o.mp4"))
         }
         assert (place / "wood.png").resolve() in known
 
@@ -143,8 +153,12 @@ def test_no_written_file_is_an_input(
         "out.mp4": lambda p: places(read, p),
         "frames/000004.png": lambda p: places(read, p.with_name("%06d.png")),
         "frames/times.txt": lambda p: places(read, p.with_name("%04d.exr")),
-        "rep/report.json": lambda p: places(read, tmp_path / "o.mp4", report=p.parent),
-        "rep/report.html": lambda p: places(read, tmp_path / "o.mp4", report=p.parent),
+        "rep/report.json": lambda p: places(
+            read, tmp_path / "o.mp4", report=p.parent
+        ),
+        "rep/report.html": lambda p: places(
+            read, tmp_path / "o.mp4", report=p.parent
+        ),
         "job/timings.jsonl": lambda p: places(read, tmp_path / "o.mp4", job=p.parent),
     }
     for place, made_of in places_of.items():
@@ -153,7 +167,9 @@ def test_no_written_file_is_an_input(
         link(read / name, path)
         (tmp_path / "job").mkdir(exist_ok=True)
         (tmp_path / "job" / "job.toml").write_text(MARK)
-        refused(made_of(path), tmp_path, "also an input|could be lost|not a job folder")
+        refused(
+            made_of(path), tmp_path, "also an input|could be lost|not a job folder"
+        )
         path.unlink()
 
 
@@ -161,10 +177,14 @@ def test_outputs_onto_inputs_by_their_own_names(read: Path, tmp_path: Path) -> N
     out = tmp_path / "out.mp4"
     refused(places(read, read / "clip.mp4"), tmp_path, "also an input \\(clip\\)")
     refused(
-        places(read, read / "depth" / "%06d.png"), tmp_path, "also an input \\(depth\\)"
+        places(read, read / "depth" / "%06d.png"),
+        tmp_path,
+        "also an input \\(depth\\)",
     )
     refused(
-        places(read, read / "depth" / "%06d.exr"), tmp_path, "also an input \\(depth\\)"
+        places(read, read / "depth" / "%06d.exr"),
+        tmp_path,
+        "also an input \\(depth\\)",
     )
     for job in (read, read / "depth", tmp_path, read / "clip.mp4"):
         refused(
@@ -198,7 +218,12 @@ def test_outputs_onto_inputs_by_their_own_names(read: Path, tmp_path: Path) -> N
     ],
 )
 def test_places_that_cannot_be_a_jobs(
-    read: Path, tmp_path: Path, out: str, job: str | None, report: str | None, says: str
+    read: Path,
+    tmp_path: Path,
+    out: str,
+    job: str | None,
+    report: str | None,
+    says: str,
 ) -> None:
     (tmp_path / "job" / "chunks").mkdir(parents=True)
     at = places(
@@ -269,7 +294,9 @@ def test_a_pipe_in_place_of_the_job_file_is_not_waited_for(tmp_path: Path) -> No
         job.check_foreign_files()
 
 
-def test_a_damaged_list_of_what_was_put_in_place_counts_as_none(tmp_path: Path) -> None:
+def test_a_damaged_list_of_what_was_put_in_place_counts_as_none(
+    tmp_path: Path,
+) -> None:
     job = JobFolder(tmp_path)
     for text in ("", "[[1, 2, Infinity]]", "[[1, 2]]", "3", '[["a", 2, 3]]'):
         job.placed.write_text(text)
@@ -328,12 +355,15 @@ def test_a_job_that_came_to_nothing_leaves_nothing(
                 "leads to the same end"
             )
         raise error
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["empty", "read"] and not list(
-        (tmp_path / "empty").iterdir()
-    )
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "empty",
+        "read",
+    ] and not list((tmp_path / "empty").iterdir())
 
 
-def test_a_job_that_can_be_resumed_keeps_what_it_has(read: Path, tmp_path: Path) -> None:
+def test_a_job_that_can_be_resumed_keeps_what_it_has(
+    read: Path, tmp_path: Path
+) -> None:
     at = places(read, tmp_path / "out.mp4")
     with pytest.raises(RenderError), at.held(resume=False):
         at.folder.job.write_text(MARK)
@@ -391,7 +421,9 @@ def test_reports_are_recognised(read: Path, tmp_path: Path) -> None:
     report.mkdir()
     (report / "report.html").write_text("<html>coverage of a test suite</html>")
     refused(
-        places(read, tmp_path / "out.mp4", report=report), tmp_path, "not written by arfx"
+        places(read, tmp_path / "out.mp4", report=report),
+        tmp_path,
+        "not written by arfx",
     )
     (report / "report.html").write_text(PAGE_START + "…")
     (report / "report.json").write_text(

@@ -51,7 +51,8 @@ def of(
     frames: list[FramePlan], size: JobSize = SIZE, prices: Prices = PRICES
 ) -> JobPrediction:
     prices = replace(
-        prices, prices={**prices.prices, "prepare dof/draft": Price({"frames": 0.0}, 0.1)}
+        prices,
+        prices={**prices.prices, "prepare dof/draft": Price({"frames": 0.0}, 0.1)},
     )
     return predict(frames, time_of_stages(frames), size, prices)
 
@@ -73,7 +74,10 @@ def test_work_that_lies_in_one_chunk_takes_as_long_as_alone() -> None:
 
 
 def test_the_second_thread_decodes_what_lies_before_its_stretch() -> None:
-    far, near = of(plans(range(120))), of(plans(range(120)), replace(SIZE, keys=(0, 60)))
+    far, near = (
+        of(plans(range(120))),
+        of(plans(range(120)), replace(SIZE, keys=(0, 60))),
+    )
     assert far.phases["decode"].seconds == pytest.approx(1.2 + 0.6) and near.phases[
         "decode"
     ].seconds == pytest.approx(1.2)

@@ -53,11 +53,14 @@ def options(folder: Path, **more: object) -> Options:
     return Options(folder, notice=lambda _: None, **more)  # type: ignore[arg-type]
 
 
-def test_planned_is_forced_for_a_part_of_the_work(material: Path, tmp_path: Path) -> None:
+def test_planned_is_forced_for_a_part_of_the_work(
+    material: Path, tmp_path: Path
+) -> None:
     reports = {}
     for name, skip in (("planned", True), ("forced", False)):
         reports[name] = process(
-            job(material, tmp_path / f"{name}.mkv", skip=skip), options(tmp_path / name)
+            job(material, tmp_path / f"{name}.mkv", skip=skip),
+            options(tmp_path / name),
         )
     pixels = {
         name: sum(s["area_fraction"] * s["frames_run"] for s in r["stages"])
@@ -75,7 +78,10 @@ def test_planned_is_forced_for_a_part_of_the_work(material: Path, tmp_path: Path
     for name in reports:
         with av.open(str(tmp_path / f"{name}.mkv")) as clip:
             pictures.append(
-                [f.to_ndarray(format="rgb24").astype(int) for f in clip.decode(video=0)]
+                [
+                    f.to_ndarray(format="rgb24").astype(int)
+                    for f in clip.decode(video=0)
+                ]
             )
     assert max(np.abs(a - b).max() for a, b in zip(*pictures, strict=True)) <= 1
 
@@ -108,7 +114,12 @@ def test_a_small_object_in_a_large_picture_takes_a_third_of_the_time() -> None:
         pictures, times = {}, {True: [], False: []}
         for skip in [True, False] * 3:
             plan = plan_frame(
-                list(stages.values()), levels, facts, at.scene, at.scene.camera.rect, skip
+                list(stages.values()),
+                levels,
+                facts,
+                at.scene,
+                at.scene.camera.rect,
+                skip,
             )
             assert len(plan.steps) == (runs if skip else 4)
             plate = at.plate[plan.rect.slices]
@@ -142,7 +153,9 @@ def test_a_budget_is_planned_on_its_upper_end_and_a_resumed_job_keeps_its_plan(
     assert {"seconds", "between"} <= line["steps"][0].keys()
     json.loads(folder.plan_summary.read_text())
     again = plan_job(open_inputs(config), folder, options(folder.path, resume=True))
-    assert folder.plan.read_bytes() == written and again.plan.frames == first.plan.frames
+    assert (
+        folder.plan.read_bytes() == written and again.plan.frames == first.plan.frames
+    )
     hurried = tmp_path / "hurried"
     JobFolder(hurried).open(False)
     told: list[str] = []

@@ -10,7 +10,9 @@ from arfx.run.schedule import elapsed, lead_frames
 def test_work_is_shared_as_far_as_chunks_allow() -> None:
     assert elapsed([1, 1, 1, 1], 2) == 2.0
     assert elapsed([1, 1, 1], 2) == 2.0, "the third chunk has no counterpart"
-    assert elapsed([3, 1, 1, 1], 2) == 3.0, "who is through takes from the other's end"
+    assert elapsed([3, 1, 1, 1], 2) == 3.0, (
+        "who is through takes from the other's end"
+    )
     assert elapsed([6, 0, 0, 0], 2) == 6.0, "all the work in one chunk helps nobody"
     assert elapsed([1, 2, 3], 1) == 6.0
     assert elapsed([], 2) == 0.0
@@ -21,7 +23,9 @@ def test_one_that_is_alone_is_faster_than_among_others() -> None:
     assert elapsed([4], 1, alone=0.5) == pytest.approx(2.0)
 
 
-def test_a_worker_that_begins_in_the_middle_decodes_from_the_key_frame_before() -> None:
+def test_a_worker_that_begins_in_the_middle_decodes_from_the_key_frame_before() -> (
+    None
+):
     chunks = [(10 * k, 10 * k + 9) for k in range(4)]
     assert lead_frames(chunks, 2, (0, 15)) == [0, 0, 5, 0]
     assert lead_frames(chunks, 4, (0, 10)) == [0, 0, 10, 20]

@@ -65,11 +65,15 @@ def test_the_next_chunk_reads_on_and_any_other_starts_anew(clip: Path) -> None:
         and (frame := other.next()) is not None
         and frame.pts == pts[10]
     )
-    assert source_at(info, list(pts), 11) is not other, "another job's source was taken"
+    assert source_at(info, list(pts), 11) is not other, (
+        "another job's source was taken"
+    )
     release()
 
 
-def test_a_stretch_that_was_left_in_its_middle_is_read_from_its_start(clip: Path) -> None:
+def test_a_stretch_that_was_left_in_its_middle_is_read_from_its_start(
+    clip: Path,
+) -> None:
     """A worker leaves one that nobody wants any more, and may be given it again."""
     info = probe(clip)
     pts = next(stretch_at(info, None, False)).pts
@@ -142,8 +146,13 @@ def test_a_failing_chunk_stops_all_threads() -> None:
 
 
 @pytest.mark.usefixtures("ctrl_c")
-def test_an_interrupt_that_a_library_swallows_still_ends_the_job(tmp_path: Path) -> None:
-    with pytest.raises(JobInterruptedError), _interruptible(JobFolder(tmp_path)) as check:
+def test_an_interrupt_that_a_library_swallows_still_ends_the_job(
+    tmp_path: Path,
+) -> None:
+    with (
+        pytest.raises(JobInterruptedError),
+        _interruptible(JobFolder(tmp_path)) as check,
+    ):
         with contextlib.suppress(
             KeyboardInterrupt
         ):  # as compiled code does that clears errors
@@ -169,7 +178,9 @@ def test_frames_of_a_short_clip_are_decoded_once(
         analysed = list(stretch)
         release()
         opened.clear()
-        rendered = Source(info, [f.pts for f in analysed], 0, threads=1, careful=False)
+        rendered = Source(
+            info, [f.pts for f in analysed], 0, threads=1, careful=False
+        )
         for k, frame in enumerate(analysed):
             again = rendered.next()
             assert again is not None and (again.index, again.pts) == (k, frame.pts)

@@ -26,7 +26,14 @@ from arfx.run.inputs import open_inputs
 from arfx.run.job import Options, plan_job
 from arfx.run.parameters import parameters
 from arfx.run.stretches import Span, Stretch, analyse_stretch, cut, whole
-from tests.clips import MARKER, clip_camera, picture, pose_at, write_camera, write_model
+from tests.clips import (
+    MARKER,
+    clip_camera,
+    picture,
+    pose_at,
+    write_camera,
+    write_model,
+)
 from tests.unit.run.test_analysis import written
 
 FRAMES, KEYS, LEAST = 48, 12, 10
@@ -41,7 +48,9 @@ def short_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @cache
 def shown(i: int, elsewhere: bool) -> np.ndarray:
-    return picture(pose_at(i + elsewhere * FRAMES, FRAMES), clip_camera(), 9 * elsewhere)
+    return picture(
+        pose_at(i + elsewhere * FRAMES, FRAMES), clip_camera(), 9 * elsewhere
+    )
 
 
 def encoded(
@@ -134,7 +143,11 @@ def threads(workers: int) -> Run:
 
 
 def analysed(
-    clip: Path, job: Path, run: Run = in_order, folds: tuple[str, ...] = (), **more: Any
+    clip: Path,
+    job: Path,
+    run: Run = in_order,
+    folds: tuple[str, ...] = (),
+    **more: Any,
 ) -> AnalysisPass:
     job.mkdir(exist_ok=True)
     asked = AnalysisJob((MARKER,), clip_camera(), **more)
@@ -193,7 +206,9 @@ def test_any_order_and_any_workers_leave_the_same_bytes(
     made = [path.name[:13] for path in (tmp_path / "first" / "stretches").iterdir()]
     assert len(first[2]) == FRAMES - (make is damaged)
     assert "000000-000047" in made if make is damaged else len(made) == 4
-    for run in (shuffled, threads(2), threads(3)) if make is open_gop else (shuffled,):
+    for run in (
+        (shuffled, threads(2), threads(3)) if make is open_gop else (shuffled,)
+    ):
         again = written(
             analysed(clip, tmp_path / "again", run, folds), tmp_path / "again.jsonl"
         )
@@ -350,9 +365,9 @@ def test_a_span_is_cut_within(clip_of: ClipOf) -> None:
         and parts.frames == len(pts)
         and parts.parts[0].begins == pts[0]
     )
-    assert [pts[p.first] for p in parts.parts] == [p.begins for p in parts.parts] and len(
-        parts.parts
-    ) > 1
+    assert [pts[p.first] for p in parts.parts] == [
+        p.begins for p in parts.parts
+    ] and len(parts.parts) > 1
     assert (
         whole(span).parts == (Stretch(0, FRAMES - 1, None, None),)
         or whole(span).parts[0].begins is None

@@ -79,7 +79,9 @@ def compose(s: Scene, f: FrameFacts, plate: np.ndarray) -> Shot:
     """Run the stages before dof on the whole frame."""
     stages = {name: STAGES[name]() for name in MAKING}
     levels = {
-        name: level_named(stages[name].levels, "high" if name == "raster" else "standard")
+        name: level_named(
+            stages[name].levels, "high" if name == "raster" else "standard"
+        )
         for name in MAKING
     }
     plan = plan_frame(list(stages.values()), levels, f, s, s.camera.rect, skip=False)
@@ -111,4 +113,6 @@ def with_layers(at: Shot, **arrays: np.ndarray) -> Shot:
 
 
 def moved(at: Shot, pose: Pose) -> Shot:
-    return compose(at.scene, facts(at.scene, pose), np.asarray(at.layers[Layer.PLATE]))
+    return compose(
+        at.scene, facts(at.scene, pose), np.asarray(at.layers[Layer.PLATE])
+    )

@@ -32,7 +32,10 @@ from tests.scenes import box_model, facts
 from tests.unit.stages.lightmap_scenes import ground_points, on_plane
 
 FOLDER = (
-    Path(__file__).parents[3] / "sample_scenes" / "0041-indirect-light" / "path-traced"
+    Path(__file__).parents[3]
+    / "sample_scenes"
+    / "0041-indirect-light"
+    / "path-traced"
 )
 NAMES = ("coloured-box", "mirror-ball", "glowing-ball", "box-in-a-corner")
 REGIONS = ("object", "contact", "plane")
@@ -62,7 +65,9 @@ def traced(name: str) -> Traced:
     document = tomllib.loads((FOLDER / "scenes.toml").read_text(encoding="utf-8"))
     c, light, told = document["camera"], document["light"], document["scene"][name]
     w, h, f = c["width"], c["height"], c["focal_px"]
-    camera = Camera(w, h, np.array([[f, 0, w / 2 - 0.5], [0, f, h / 2 - 0.5], [0, 0, 1]]))
+    camera = Camera(
+        w, h, np.array([[f, 0, w / 2 - 0.5], [0, f, h / 2 - 0.5], [0, 0, 1]])
+    )
     forward = np.array(c["target"]) - np.array(c["eye"])
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, [0, 0, 1])
@@ -107,7 +112,11 @@ def traced(name: str) -> Traced:
         )
         changed = {"floor": Pose.identity(), "wall": wall}
         scene = Scene(
-            camera, model, scene.world_from_model, light=lit, world_from_marker=changed
+            camera,
+            model,
+            scene.world_from_model,
+            light=lit,
+            world_from_marker=changed,
         )
         plate = read_linear(f"{name}-empty")
     return Traced(scene, facts(scene, pose), read_linear(name), plate)
@@ -121,7 +130,9 @@ BESIDE = {"raster": "high", "lightmap": "standard", "composite": "high"}
 @cache
 def kept(name: str, stage: str) -> ReadyStage:
     """A stage beside gi, with the shadow of the scene's lamp once that is made: for every run."""
-    made = Raster(RasterParams(backend="rays")) if stage == "raster" else STAGES[stage]()
+    made = (
+        Raster(RasterParams(backend="rays")) if stage == "raster" else STAGES[stage]()
+    )
     return ReadyStage.of(
         made, traced(name).scene, level_named(made.levels, BESIDE[stage])
     )
@@ -144,7 +155,9 @@ def ours(name: str, level: str, samples: int = 64) -> tuple[np.ndarray, np.ndarr
     plan = plan_frame(
         list(stages.values()), levels, t.facts, t.scene, t.scene.camera.rect
     )
-    ready = {n: replace(kept(name, n), stage=s) for n, s in stages.items() if n != "gi"}
+    ready = {
+        n: replace(kept(name, n), stage=s) for n, s in stages.items() if n != "gi"
+    }
     if gi:
         ready["gi"] = ReadyStage.of(stages["gi"], t.scene, levels["gi"])
     made = run_frame(
@@ -178,11 +191,15 @@ def regions(name: str) -> dict[str, np.ndarray]:
     }
 
 
-def errors(name: str, level: str, samples: int = 64) -> dict[str, tuple[float, float]]:
+def errors(
+    name: str, level: str, samples: int = 64
+) -> dict[str, tuple[float, float]]:
     """By region: (PSNR in dB, mean error in grey levels) of the pictures as shown."""
     t = traced(name)
     image, _ = ours(name, level, samples)
-    off = 255 * (SRGB.encode(np.clip(image, 0, 1)) - SRGB.encode(np.clip(t.truth, 0, 1)))
+    off = 255 * (
+        SRGB.encode(np.clip(image, 0, 1)) - SRGB.encode(np.clip(t.truth, 0, 1))
+    )
     out = {}
     for region, mask in regions(name).items():
         e = off[mask]

@@ -22,7 +22,12 @@ from arfx.stages.gi import GiParams
 from arfx.stages.gi import stage as stage_module
 from arfx.stages.triangles import Triangles
 from tests.scenes import box_model, facts, layers_of
-from tests.unit.stages.lightmap_scenes import MADE, from_above, ground_points, on_plane
+from tests.unit.stages.lightmap_scenes import (
+    MADE,
+    from_above,
+    ground_points,
+    on_plane,
+)
 
 __all__ = ["box_model", "from_above", "ground_points", "on_plane"]
 
@@ -35,7 +40,9 @@ GLOWING = Material(
 )
 EVEN = Light((1.0, 1.0, 1.0), ())
 NIGHT = Light((0.0, 0.0, 0.0), ())
-LAMP = Light((0.4, 0.4, 0.4), (DirectionalLight((0.5, 0.5, 0.7), (0.5, 0.5, 0.5), 8.0),))
+LAMP = Light(
+    (0.4, 0.4, 0.4), (DirectionalLight((0.5, 0.5, 0.7), (0.5, 0.5, 0.5), 8.0),)
+)
 CAMERA = Camera(160, 120, np.array([[150.0, 0, 80], [0, 150, 60], [0, 0, 1]]))
 stage_module.TRANSPORTS_KEPT = (
     8  # tests come back to the same few models at other levels and heights
@@ -46,7 +53,10 @@ stage_module.TRANSPORTS_KEPT = (
 def ball(material: Material, subdivisions: int = 3) -> Model:
     b = trimesh.creation.icosphere(subdivisions=subdivisions)
     part = Part(
-        np.array(b.vertices), np.array(b.faces, np.int32), np.array(b.vertices), material
+        np.array(b.vertices),
+        np.array(b.faces, np.int32),
+        np.array(b.vertices),
+        material,
     )
     return Model((part,), up="z", source="ball")
 
@@ -78,7 +88,9 @@ def surface(s: Scene, f: FrameFacts) -> dict[Layer, np.ndarray]:
     prim = np.asarray(found["primID"]).astype(int).reshape(rect.height, rect.width)
     met = prim >= 0
     t = np.asarray(found["tfar"], float).reshape(prim.shape)
-    u, v = (np.asarray(found[k], float).reshape(prim.shape)[met][:, None] for k in "uv")
+    u, v = (
+        np.asarray(found[k], float).reshape(prim.shape)[met][:, None] for k in "uv"
+    )
     n = part.normals[part.faces[prim[met]]] @ s.world_from_model[:3, :3].T
     n = n[:, 0] * (1 - u - v) + n[:, 1] * u + n[:, 2] * v
     m = part.material

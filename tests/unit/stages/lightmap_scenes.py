@@ -70,7 +70,11 @@ def from_above(
 
 def towards(azimuth_deg: float, elevation_deg: float) -> tuple[float, float, float]:
     a, e = np.radians(azimuth_deg), np.radians(elevation_deg)
-    return float(np.cos(e) * np.cos(a)), float(np.cos(e) * np.sin(a)), float(np.sin(e))
+    return (
+        float(np.cos(e) * np.cos(a)),
+        float(np.cos(e) * np.sin(a)),
+        float(np.sin(e)),
+    )
 
 
 def lamp(
@@ -83,7 +87,11 @@ def lamp(
     ambient_rgb = (ambient,) * 3 if np.isscalar(ambient) else tuple(ambient)
     return Light(
         ambient_rgb,
-        (DirectionalLight(towards(azimuth_deg, elevation_deg), tuple(rgb), size_deg),),
+        (
+            DirectionalLight(
+                towards(azimuth_deg, elevation_deg), tuple(rgb), size_deg
+            ),
+        ),
         "given",
     )
 
@@ -92,7 +100,9 @@ def one_sided(shape: tuple[float, float, float], level: float = 0.4) -> Light:
     """Soft light whose radiance in direction d is level (1 + shape . d)."""
     soft = np.zeros((9, 3))
     soft[0], soft[[3, 1, 2]] = level, level / np.sqrt(3) * np.array(shape)[:, None]
-    return Light.of_soft(soft * DIFFUSE[:, None] / 0.28209479177387814, (), "environment")
+    return Light.of_soft(
+        soft * DIFFUSE[:, None] / 0.28209479177387814, (), "environment"
+    )
 
 
 def run_stage(
@@ -128,14 +138,19 @@ def ground_points(s: Scene, pose: Pose) -> np.ndarray:
 
 
 def hides_ball(
-    points: np.ndarray, directions: np.ndarray, height_m: float = 0.0, inside: float = 1.0
+    points: np.ndarray,
+    directions: np.ndarray,
+    height_m: float = 0.0,
+    inside: float = 1.0,
 ) -> np.ndarray:
     """(n, k) bool: does a ball of RADIUS_M stand between points (n, 3) and a light in
     directions (k, 3)?
     """
     c = np.array([0, 0, RADIUS_M + height_m]) - points
     along = c @ directions.T
-    return (along > 0) & ((c * c).sum(1)[:, None] - along**2 < (inside * RADIUS_M) ** 2)
+    return (along > 0) & (
+        (c * c).sum(1)[:, None] - along**2 < (inside * RADIUS_M) ** 2
+    )
 
 
 def hides_box(
@@ -187,7 +202,11 @@ def hemisphere_samples(n: int, seed: int = 1) -> np.ndarray:
 
 
 def true_ratio(
-    light: Light, hides: Any, points: np.ndarray, samples: int = 16, height_m: float = 0.0
+    light: Light,
+    hides: Any,
+    points: np.ndarray,
+    samples: int = 16,
+    height_m: float = 0.0,
 ) -> np.ndarray:
     """(n, 3) light that is left of the plane at points (n, 3) on it, by samples x samples
     rays for every part of the light.

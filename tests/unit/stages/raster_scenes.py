@@ -59,7 +59,9 @@ def square(
         [x + half, y + half, z],
         [x - half, y + half, z],
     ]
-    return quad(np.array(corners), material, np.array([[0.0, 1], [1, 1], [1, 0], [0, 0]]))
+    return quad(
+        np.array(corners), material, np.array([[0.0, 1], [1, 1], [1, 0], [0, 0]])
+    )
 
 
 def scene_of(parts: list[Part], lens: str = "ideal") -> Scene:

@@ -58,7 +58,8 @@ def test_a_lamp_below_the_surface_does_not_light_its_bumps(
     level = np.radians(40 - elevation_deg)
     smooth = np.array([0.0, -np.sin(level), np.cos(level)])
     free, bumped = (
-        upward_wall(light, LEANING, **more) for more in ({}, {"smooth_normal": smooth})
+        upward_wall(light, LEANING, **more)
+        for more in ({}, {"smooth_normal": smooth})
     )
     assert free[0] > 0.2
     np.testing.assert_allclose(bumped, left * free, atol=1e-4)

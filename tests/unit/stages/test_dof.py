@@ -121,7 +121,9 @@ def test_a_draft_keeps_what_is_sharp_and_its_outline() -> None:
         shot("plain", 240, 180),
         {"aperture_px": 8.0, "focus": "object", "background_m": 50.0},
     )
-    draft, standard = (blurred(at, level, **params) for level in ("draft", "standard"))
+    draft, standard = (
+        blurred(at, level, **params) for level in ("draft", "standard")
+    )
     covered = at.layers[Layer.COVERAGE]
     inside = minimum_filter(covered, 5) >= 1
     kept = inside & (np.abs(standard - at.layers[Layer.IMAGE]).max(-1) == 0)
@@ -158,14 +160,18 @@ def test_a_highlight_becomes_a_disc_and_keeps_its_energy(
     for brightness in (1.0, 1e4):
         plate = np.zeros((240, 320, 3), np.float32)
         plate[120, 160] = brightness
-        out = blurred(flat(plate), level, aperture_px=aperture_for(radius), focus="2m")
+        out = blurred(
+            flat(plate), level, aperture_px=aperture_for(radius), focus="2m"
+        )
         assert out.sum() == pytest.approx(plate.sum(), rel=0.001)
         sharp = level == "reference"
         inside = away < radius - (0.75 if sharp else 2 + 0.3 * radius)
         if level != "draft" and radius > 4 and inside.any():  # even, not a hill
             even = brightness / (np.pi * radius**2)
             least, most = (0.85, 1.15) if sharp else (0.7, 1.5)
-            assert least * even < out[inside].min() and out[inside].max() < most * even
+            assert (
+                least * even < out[inside].min() and out[inside].max() < most * even
+            )
         near = away <= radius + 1.5 if sharp else away <= 1.5 * radius + 3
         assert out[near].sum() > (0.8 if level == "draft" else 0.98) * plate.sum()
         # float64 sums along a row leave a rounding of what was there
@@ -259,12 +265,16 @@ def test_the_objects_blur_ends_within_what_is_called_for(
         at, plate=black, image=image, virtual=image, shadow=np.ones_like(black)
     )
     params = {"aperture_px": aperture_px, "focus": "1.5m", "scope": "virtual"}
-    asked = Dof(DofParams(**params)).demand(at.facts, at.scene, at.scene.camera.rect).rect  # type: ignore[arg-type]
+    asked = (
+        Dof(DofParams(**params)).demand(at.facts, at.scene, at.scene.camera.rect).rect
+    )  # type: ignore[arg-type]
     outside = np.ones(black.shape[:2], bool)
     outside[asked.slices] = False
     assert outside.sum() > 1000, "the picture goes on"
     out = blurred(at, level, **params)
-    assert out[outside].max() < 4e-5 and out.sum() == pytest.approx(image.sum(), rel=0.06)
+    assert out[outside].max() < 4e-5 and out.sum() == pytest.approx(
+        image.sum(), rel=0.06
+    )
 
 
 @pytest.mark.parametrize("level", [*LEVELS, "reference"])
@@ -292,15 +302,17 @@ def test_a_crop_gives_the_same_bits(level: str) -> None:
     ],
     ids=["sharp around the object", "blurred all over"],
 )
-def test_only_the_pixels_that_are_kept_are_made_with_the_same_bits(params: dict) -> None:
+def test_only_the_pixels_that_are_kept_are_made_with_the_same_bits(
+    params: dict,
+) -> None:
     at = shot()
     stage = Dof(DofParams(**params))
     le = level_named(Dof.levels, "standard")
     out = Rect(101, 67, 230, 187)
     need = stage.needs(out, at.facts, at.scene, le).union(out)
-    made = ReadyStage.of(stage, at.scene, le).run(at.layers.crop(need), at.facts, out)[
-        Layer.IMAGE
-    ]
+    made = ReadyStage.of(stage, at.scene, le).run(
+        at.layers.crop(need), at.facts, out
+    )[Layer.IMAGE]
     assert isinstance(made, Pixels) and made.rect == out
     whole = blurred(at, "standard", **params)
     np.testing.assert_array_equal(made.part(out), whole[out.slices])
@@ -363,7 +375,9 @@ def test_depths_that_are_none(value: float) -> None:
     depth = np.array(at.layers[Layer.DEPTH])
     depth[::2, ::3] = value
     for level in LEVELS:
-        out = blurred(with_layers(at, depth=depth), level, aperture_px=15.0, focus="48cm")
+        out = blurred(
+            with_layers(at, depth=depth), level, aperture_px=15.0, focus="48cm"
+        )
         assert np.isfinite(out).all() and out.min() >= -1e-5 and out.max() <= 1.0
 
 
@@ -383,7 +397,9 @@ def test_a_part_narrower_than_a_cell(level: str) -> None:
     stage = Dof(DofParams(aperture_px=aperture_for(15.0), focus="2m"))
     for x in (61, 63, 126):
         part = at.layers.crop(Rect(x, 0, x + 2, 120))
-        out = laws.run(ReadyStage.of(stage, at.scene, level), part, at.facts)[Layer.IMAGE]
+        out = laws.run(ReadyStage.of(stage, at.scene, level), part, at.facts)[
+            Layer.IMAGE
+        ]
         np.testing.assert_allclose(out, 0.3, atol=1e-5)
 
 
@@ -442,7 +458,9 @@ def test_a_slowly_growing_circle_does_not_jump(level: str) -> None:
     plate = texture(120, 160)
     for radius in (0.5, 1.6, 2.2, 2.4, 3.2, 6.0, 8.0, 12.0, 14.0, 16.0, 18.0):
         a, b = (
-            blurred(flat(plate), level, aperture_px=aperture_for(radius + d), focus="2m")
+            blurred(
+                flat(plate), level, aperture_px=aperture_for(radius + d), focus="2m"
+            )
             for d in (-0.05, 0.05)
         )
         assert np.abs(a - b).mean() < 0.004, radius
@@ -461,7 +479,9 @@ def test_opacity_opens_the_lens_without_a_step() -> None:
     away = np.ones(image.shape[:2], bool)
     away[at.facts.model_box.pad(30).clip(at.scene.camera.rect).slices] = False
     change = [
-        np.abs(blurred(s, "standard", aperture_px=12.0, focus="1m") - image)[away].mean()
+        np.abs(blurred(s, "standard", aperture_px=12.0, focus="1m") - image)[
+            away
+        ].mean()
         for s in (faint, half, at)
     ]
     assert change[0] == 0.0 < change[1] < change[2]

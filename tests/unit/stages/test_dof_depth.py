@@ -69,7 +69,9 @@ def test_tiles_hold_what_the_map_holds() -> None:
 
 
 @pytest.mark.parametrize("level", [*LEVELS, "reference"])
-def test_a_blurred_wall_does_not_flow_into_what_is_sharp_before_it(level: str) -> None:
+def test_a_blurred_wall_does_not_flow_into_what_is_sharp_before_it(
+    level: str,
+) -> None:
     at = measured(two_walls(1.0, 4.0), dark_far_bright_near())
     out = blurred(at, level, aperture_px=20.0, focus="1m")
     np.testing.assert_allclose(out[:, 100:150], 0.8, atol=1e-5)
@@ -92,7 +94,9 @@ def test_what_is_blurred_before_a_sharp_wall_has_no_hard_edge(level: str) -> Non
 @pytest.mark.parametrize("focus", ["1m", "2m", "4m"])
 def test_levels_agree_with_the_reference(focus: str) -> None:
     y, x = np.indices((SIZE[1], SIZE[0]))
-    depth = np.where((x - 120) ** 2 + (y - 80) ** 2 < 45**2, 1.2, 1.5 + 0.015 * (180 - y))
+    depth = np.where(
+        (x - 120) ** 2 + (y - 80) ** 2 < 45**2, 1.2, 1.5 + 0.015 * (180 - y)
+    )
     at = measured(depth, texture(SIZE[1], SIZE[0]))
     truth = blurred(at, "reference", aperture_px=10.0, focus=focus)
     for level, least in zip(LEVELS, (30, 36), strict=True):

@@ -24,7 +24,11 @@ def pinhole(shift_px: np.ndarray | None = None) -> Camera:
     x, y = (0.0, 0.0) if shift_px is None else shift_px
     width, height = SIZE
     matrix = np.array(
-        [[width, 0, (width - 1) / 2 + x], [0, width, (height - 1) / 2 + y], [0, 0, 1.0]]
+        [
+            [width, 0, (width - 1) / 2 + x],
+            [0, width, (height - 1) / 2 + y],
+            [0, 0, 1.0],
+        ]
     )
     return Camera(width, height, matrix)
 
@@ -52,7 +56,9 @@ def seen(camera: Camera, pose: Pose) -> Shot:
 @pytest.mark.parametrize(
     "focus", ["38cm", "70cm"], ids=["focus before the object", "focus behind it"]
 )
-def test_it_is_the_mean_of_pinhole_pictures_from_all_over_the_lens(focus: str) -> None:
+def test_it_is_the_mean_of_pinhole_pictures_from_all_over_the_lens(
+    focus: str,
+) -> None:
     """Accumulation (Haeberli and Akeley 1990): the camera moves over the lens, what is in
     the focus stays where it is.
     """
@@ -60,7 +66,9 @@ def test_it_is_the_mean_of_pinhole_pictures_from_all_over_the_lens(focus: str) -
     at = seen(pinhole(), pose)
     coc = circle_of_confusion(params, at.facts, at.scene)
     lens_m = (
-        lens_rays.lens_points(64, 0, 0.0)[:, :2] * coc.px_per_dioptre / at.scene.camera.fx
+        lens_rays.lens_points(64, 0, 0.0)[:, :2]
+        * coc.px_per_dioptre
+        / at.scene.camera.fx
     )
     mean = np.zeros((SIZE[1], SIZE[0], 3))
     for o in lens_m:

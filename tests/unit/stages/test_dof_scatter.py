@@ -48,7 +48,9 @@ def test_a_sharp_pixel_sends_nothing_and_a_small_disc_ends() -> None:
     assert not spread(point(), np.full((129, 129), 0.5)).any()
     out = spread(point(), np.full((129, 129), 2.0))[..., 3]
     y, x = np.indices((129, 129)) - 64
-    assert (out[np.hypot(x, y) > 5] == 0).all() and out[np.hypot(x, y) < 1.5].min() > 0.05
+    assert (out[np.hypot(x, y) > 5] == 0).all() and out[
+        np.hypot(x, y) < 1.5
+    ].min() > 0.05
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -58,7 +60,8 @@ def test_nothing_jumps_when_the_radius_grows(level: str) -> None:
     light = g.random((96, 96, 4), np.float32)
     for radius in np.geomspace(0.55, 30, 40):
         a, b = (
-            spread(light, np.full((96, 96), r), level) for r in (radius, radius * 1.001)
+            spread(light, np.full((96, 96), r), level)
+            for r in (radius, radius * 1.001)
         )
         assert np.abs(a - b).mean() < 2e-3, radius
 

@@ -87,14 +87,17 @@ def test_focus_follows_what_it_is_set_to() -> None:
         return 1 / focus_dioptre(DofParams(focus=focus), at, s)
 
     assert (
-        distance("marker") == distance("3") == distance("36h11:3") == pytest.approx(0.5)
+        distance("marker")
+        == distance("3")
+        == distance("36h11:3")
+        == pytest.approx(0.5)
     )
     assert distance("object") == pytest.approx((corners.min() + corners.max()) / 2)
     assert distance("80cm") == pytest.approx(0.8)
     rack = "marker@0s, 1m@2s"  # steady in dioptres: 2, 1.5, 1
-    assert [distance(rack, f.with_(time_s=t)) for t in (0.0, 1.0, 2.0)] == pytest.approx(
-        [0.5, 1 / 1.5, 1.0]
-    )
+    assert [
+        distance(rack, f.with_(time_s=t)) for t in (0.0, 1.0, 2.0)
+    ] == pytest.approx([0.5, 1 / 1.5, 1.0])
     with pytest.raises(ConfigError, match="there is no marker '7'"):
         distance("7")
 
@@ -118,7 +121,9 @@ def test_circles_are_those_of_the_lens() -> None:
     own = circle_of_confusion(DofParams(focus="80cm"), f, s)
     focal = s.camera.fx * 36 / s.camera.width
     assert own.px_per_dioptre == pytest.approx(
-        circle_of_confusion(DofParams(focal_mm=focal, focus="80cm"), f, s).px_per_dioptre
+        circle_of_confusion(
+            DofParams(focal_mm=focal, focus="80cm"), f, s
+        ).px_per_dioptre
     )
     zoom = DofParams(focal_mm="0@0s, 100@2s", focus="80cm")
     at_s = [focal_mm(zoom, f.with_(time_s=t), s) for t in (0.0, 1.0, 2.0, 3.0)]
@@ -145,12 +150,17 @@ def test_lens_and_focus_move_by_key_frames(made: type[Dof]) -> None:
         ("focal_mm", "20@0s, 80@2s", 40.0), ("fnumber", "1@0s, 16@2s", 4.0), ("focus", "40cm@0s, 66.66666667cm@2s", "50cm"),
     ):  # fmt: skip
         np.testing.assert_allclose(
-            of(half, **{name: keys}), of(half, **{name: between}), atol=1e-6, err_msg=name
+            of(half, **{name: keys}),
+            of(half, **{name: between}),
+            atol=1e-6,
+            err_msg=name,
         )
-        assert np.abs(of(at, **{name: keys}) - of(half, **{name: keys})).max() > 5e-3, (
-            name
-        )
-    with pytest.raises(InputError, match="lens of 500 mm cannot be focused at 500 mm"):
+        assert (
+            np.abs(of(at, **{name: keys}) - of(half, **{name: keys})).max() > 5e-3
+        ), name
+    with pytest.raises(
+        InputError, match="lens of 500 mm cannot be focused at 500 mm"
+    ):
         of(half, focal_mm="20@0s, 500@0.5s")
 
 
@@ -182,9 +192,9 @@ def test_a_plane_of_limited_size_ends_where_it_is_said_to() -> None:
     )
     for x, seen in ((0.095, True), (-0.095, True), (0.107, False), (-0.107, False)):
         for point in ([x, 0, 0], [0, x, 0]):
-            u, v = np.rint(s.camera.project(pose.apply(np.array(point, float)))).astype(
-                int
-            )
+            u, v = np.rint(
+                s.camera.project(pose.apply(np.array(point, float)))
+            ).astype(int)
             if 0 <= u < s.camera.width and 0 <= v < s.camera.height:
                 assert inside[v, u] == seen, point
 
@@ -196,11 +206,13 @@ def test_a_marker_that_stands_up_is_a_surface_of_its_own() -> None:
     flat = Pose(np.eye(3), np.array([0.2, 0, 0.0]))
     beside = MarkerSpec("36h11", 10, 0.08)
     where = {**s.world_from_marker, wall.key: stands, beside.key: flat}
-    more = Scene(s.camera, s.model, s.world_from_model, (*s.markers, wall, beside), where)
-    real = real_scene(more, look_at(), 0.0)
-    assert len(real.finite_planes) == 1 and real.finite_planes[0].half_m == pytest.approx(
-        0.05
+    more = Scene(
+        s.camera, s.model, s.world_from_model, (*s.markers, wall, beside), where
     )
+    real = real_scene(more, look_at(), 0.0)
+    assert len(real.finite_planes) == 1 and real.finite_planes[
+        0
+    ].half_m == pytest.approx(0.05)
 
 
 def test_a_plane_seen_edge_on_is_nowhere() -> None:
@@ -226,13 +238,17 @@ def test_shapes_are_even_and_as_large_as_the_disc(blades: int) -> None:
 
 def test_the_footages_lens_is_used_where_it_is_known() -> None:
     at = shot()
-    stage, frame = Dof(DofParams(lens="footage", scope="virtual")), at.scene.camera.rect
+    stage, frame = (
+        Dof(DofParams(lens="footage", scope="virtual")),
+        at.scene.camera.rect,
+    )
     assert (
         stage.demand(at.facts, at.scene, frame).reason
         == "the lens of the footage was not measured"
     )
     np.testing.assert_array_equal(
-        blurred(at, "standard", lens="footage", scope="virtual"), at.layers[Layer.IMAGE]
+        blurred(at, "standard", lens="footage", scope="virtual"),
+        at.layers[Layer.IMAGE],
     )
     refused = at.facts.with_(lens=LensFit(False, "too few edges"))
     assert stage.demand(refused, at.scene, frame).reason.endswith(

@@ -52,13 +52,21 @@ LEVELS = ["draft", "standard"]
 
 
 def on(
-    shape, material, light: Light = LAMP, height_m: float = 0.0, camera: Camera = CAMERA
+    shape,
+    material,
+    light: Light = LAMP,
+    height_m: float = 0.0,
+    camera: Camera = CAMERA,
 ) -> Scene:  # type: ignore[no-untyped-def]
     return on_plane(shape(material), light, camera, height_m)
 
 
 def ring(
-    s: Scene, coverage: np.ndarray, low_m: float, high_m: float, pose: Pose | None = None
+    s: Scene,
+    coverage: np.ndarray,
+    low_m: float,
+    high_m: float,
+    pose: Pose | None = None,
 ) -> np.ndarray:
     g = ground_points(s, pose or from_above())
     away = np.hypot(g[..., 0], g[..., 1])
@@ -71,7 +79,9 @@ def test_white_furnace(level: str, shape) -> None:  # type: ignore[no-untyped-de
     """White object, white plane, even light of 1 from everywhere: nothing is to be seen, at
     every level.
     """
-    made = run_gi(on(shape, MATT_WHITE, EVEN), level, plate=plain_plate(rgb=(1, 1, 1)))
+    made = run_gi(
+        on(shape, MATT_WHITE, EVEN), level, plate=plain_plate(rgb=(1, 1, 1))
+    )
     light = made[Layer.VIRTUAL][inner(made[Layer.COVERAGE])]
     assert light.mean() == pytest.approx(1, abs=0.02)
     # what is left out after the last bounce is missing where walls and floor meet
@@ -95,7 +105,9 @@ def test_brightness_does_not_depend_on_the_resolution(shape) -> None:  # type: i
 
 
 @pytest.mark.parametrize("level", [*LEVELS, "reference"])
-def test_a_red_object_colours_the_plane_and_a_black_one_darkens_it(level: str) -> None:
+def test_a_red_object_colours_the_plane_and_a_black_one_darkens_it(
+    level: str,
+) -> None:
     params = GiParams(samples=16)
     red = run_gi(on(box, MATT_RED), level, params=params)
     black = run_gi(on(box, BLACK), level, params=params)
@@ -111,7 +123,9 @@ def test_a_red_object_colours_the_plane_and_a_black_one_darkens_it(level: str) -
 
 @pytest.mark.parametrize("shape", [ball, box])
 @pytest.mark.parametrize("level", LEVELS)
-def test_a_convex_object_does_not_hide_the_light_from_itself(level: str, shape) -> None:  # type: ignore[no-untyped-def]
+def test_a_convex_object_does_not_hide_the_light_from_itself(
+    level: str, shape
+) -> None:  # type: ignore[no-untyped-def]
     """Rays that met the surface they start on would find a dark grey object in an even light."""
     dark = replace(MATT_WHITE, base_colour=(0.1, 0.1, 0.1, 1.0))
     made = run_gi(on(shape, dark, EVEN), level, plate=plain_plate(rgb=(1, 1, 1)))
@@ -192,7 +206,9 @@ def test_camera_inside_and_an_object_that_fills_the_picture(level: str) -> None:
 @pytest.mark.parametrize("level", [*LEVELS, "reference"])
 def test_no_light_at_all(level: str) -> None:
     s = on(box, MATT_RED, NIGHT)
-    made = run_gi(s, level, plate=plain_plate(rgb=(0, 0, 0)), params=GiParams(samples=2))
+    made = run_gi(
+        s, level, plate=plain_plate(rgb=(0, 0, 0)), params=GiParams(samples=2)
+    )
     assert made[Layer.VIRTUAL].max() == 0 and (made[Layer.SHADOW] == 1).all()
 
 
@@ -256,7 +272,8 @@ def test_degenerate_parts() -> None:
     )
     made = run_gi(on_plane(Model((p, sliver), up="z"), LAMP, CAMERA))
     assert (
-        np.isfinite(made[Layer.VIRTUAL]).all() and np.isfinite(made[Layer.SHADOW]).all()
+        np.isfinite(made[Layer.VIRTUAL]).all()
+        and np.isfinite(made[Layer.SHADOW]).all()
     )
 
 
@@ -292,14 +309,18 @@ def test_kept_light_is_used_again_and_another_is_not() -> None:
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_light_that_grows_and_turns_blue_is_followed_without_steps(level: str) -> None:
+def test_light_that_grows_and_turns_blue_is_followed_without_steps(
+    level: str,
+) -> None:
     """Light is kept in steps of some per cent, and shown as bright as it is."""
     s, pose = on(ball, MATT_WHITE, EVEN), from_above()
     ready, f = ReadyStage.of(Gi(), s, level), facts(s, pose)
     seen = []
     growth = np.linspace(1, 1.06, 13)[:, None] ** [1.0, 1.0, 2.0]
     for times in growth:
-        light = Light(ambient_rgb=tuple((times * EVEN.ambient_rgb).tolist()), lights=())
+        light = Light(
+            ambient_rgb=tuple((times * EVEN.ambient_rgb).tolist()), lights=()
+        )
         plate = (plain_plate() * times).astype(np.float32)
         layers = layers_of(CAMERA.rect, surface(s, f) | {Layer.PLATE: plate})
         out = ready.run(layers, f.with_(light=light))[Layer.VIRTUAL]

@@ -25,7 +25,9 @@ from tests.unit.stages.gi_scenes import (
 
 
 @pytest.mark.parametrize("level", ["draft", "standard"])
-def test_levels_agree_with_the_reference_under_uneven_surroundings(level: str) -> None:
+def test_levels_agree_with_the_reference_under_uneven_surroundings(
+    level: str,
+) -> None:
     """A room bright above and on one side, dark on the other, beside a dark plane: with
     five cones at 60 degrees 6 % too dark.
     """

@@ -56,7 +56,9 @@ def mirror_image() -> np.ndarray:
 def by_rays() -> tuple[np.ndarray, np.ndarray]:
     """SHADOW with and without the gloss."""
     both = (GiParams(plane_gloss=g, samples=10) for g in (0.3, 0.0))
-    shiny, matt = (run_gi(SCENE, "reference", POSE, params=p)[Layer.SHADOW] for p in both)
+    shiny, matt = (
+        run_gi(SCENE, "reference", POSE, params=p)[Layer.SHADOW] for p in both
+    )
     return shiny, matt
 
 
@@ -72,7 +74,9 @@ def test_the_mirror_image_is_where_and_as_strong_as_rays_say(level: str) -> None
     image = mirror_image() & bare
     change, expected = made - without, true - plain
     assert expected[image][:, 1].mean() < -0.1, "red takes the place of grey"
-    np.testing.assert_allclose(change[image].mean(0), expected[image].mean(0), atol=0.035)
+    np.testing.assert_allclose(
+        change[image].mean(0), expected[image].mean(0), atol=0.035
+    )
     assert np.abs(change[bare]).sum() < 1.35 * np.abs(change[image]).sum(), (
         "next to nothing beside it"
     )
@@ -83,7 +87,9 @@ def test_a_matt_plane_mirrors_nothing_and_asks_for_nothing() -> None:
     plain, shiny = (
         Gi(GiParams(plane_gloss=g)).demand(f, SCENE, CAMERA.rect) for g in (0.0, 0.04)
     )
-    assert "mirrors" not in plain.reason and "mirrors 0.04 of the light" in shiny.reason
+    assert (
+        "mirrors" not in plain.reason and "mirrors 0.04 of the light" in shiny.reason
+    )
     assert shiny.rect.contains(plain.rect)
 
 
@@ -137,7 +143,9 @@ def test_what_is_not_on_the_plane_is_left_alone(
     ]
     left = np.arange(CAMERA.width) < CAMERA.width // 2
     assert (made[:, left] == 1).all()
-    np.testing.assert_allclose(made[:, ~left], plain[Layer.SHADOW][:, ~left], atol=0.02)
+    np.testing.assert_allclose(
+        made[:, ~left], plain[Layer.SHADOW][:, ~left], atol=0.02
+    )
     assert made[:, ~left].min() < 0.9
 
 
@@ -149,7 +157,13 @@ def test_a_thing_before_the_plane_is_no_picture_of_the_plane() -> None:
     whole = Rect.of(CAMERA.width, CAMERA.height)
     axes, nothing = planes.axes[0].astype(float), np.zeros((0, 0), np.float32)
     shown = PlatePicture(
-        plate, whole, whole, CAMERA, POSE, np.zeros(3, np.float32), depth_with_a_thing()
+        plate,
+        whole,
+        whole,
+        CAMERA,
+        POSE,
+        np.zeros(3, np.float32),
+        depth_with_a_thing(),
     )
     seen, known = shown.radiance(places[0], axes)
     assert known.sum() > 20 and seen[known > 0].max() < 5
@@ -216,7 +230,9 @@ def test_a_plane_over_the_table_leaves_what_is_measured_on_the_table(
 
 @pytest.mark.parametrize("roughness", [0.3, 1.0])
 @pytest.mark.parametrize("level", ["draft", "standard", "reference"])
-def test_what_stands_behind_a_plane_does_not_see_it(level: str, roughness: float) -> None:
+def test_what_stands_behind_a_plane_does_not_see_it(
+    level: str, roughness: float
+) -> None:
     """A dark wall through the middle of a ball: its far half is as bright as without it."""
     body = Material(base_colour=(1.0, 1.0, 1.0, 1.0), roughness=roughness)
     scene, params = on_plane(ball(body), EVEN, CAMERA), GiParams(samples=16)
@@ -251,7 +267,11 @@ def test_a_table_ends_for_what_mirrors_it(level: str) -> None:
     blue = []
     for scene in (whole, replace(whole, real_planes=(table,))):
         made = run_gi(
-            scene, level, POSE, params=GiParams(samples=4), environment=CubeMap.of(cube)
+            scene,
+            level,
+            POSE,
+            params=GiParams(samples=4),
+            environment=CubeMap.of(cube),
         )
         low = (made[Layer.COVERAGE] > 0) & (made[Layer.NORMAL][..., 2] < 0.2)
         blue.append(made[Layer.VIRTUAL][low][:, 2] - made[Layer.VIRTUAL][low][:, 0])

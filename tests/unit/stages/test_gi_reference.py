@@ -16,7 +16,12 @@ from arfx.core.light import Light
 from arfx.core.model import CLAMP, MIRROR, REPEAT, Material, Texture
 from arfx.core.numerics import divide, normalise
 from arfx.stages.gi import GiParams
-from arfx.stages.gi.reference_lobes import Lobes, MaterialLobes, PlaneLobes, lobe_width
+from arfx.stages.gi.reference_lobes import (
+    Lobes,
+    MaterialLobes,
+    PlaneLobes,
+    lobe_width,
+)
 from arfx.stages.gi.reference_scene import RayScene
 from arfx.stages.gi.reference_sky import Environment
 from arfx.stages.light.surfels import wrapped
@@ -52,7 +57,11 @@ def numbers(n: int) -> np.ndarray:
 
 
 def material(
-    n: int, roughness: float, albedo: float = 0.5, f0: float = 0.04, metal: float = 0.0
+    n: int,
+    roughness: float,
+    albedo: float = 0.5,
+    f0: float = 0.04,
+    metal: float = 0.0,
 ) -> MaterialLobes:
     up, column = np.tile([0, 0, 1.0], (n, 1)), np.ones((n, 1))
     return MaterialLobes(
@@ -106,9 +115,9 @@ def test_rays_towards_a_ball_bring_its_form_factor(all_around: bool) -> None:
 
 @pytest.mark.parametrize("lobes", [material(20_000, 0.5), plane(20_000, 6.0, True)])
 def test_a_density_sums_to_one(lobes: Lobes) -> None:
-    assert 2 * np.pi * lobes.at(even_hemisphere(20_000)).density.mean() == pytest.approx(
-        1, abs=0.02
-    )
+    assert 2 * np.pi * lobes.at(
+        even_hemisphere(20_000)
+    ).density.mean() == pytest.approx(1, abs=0.02)
 
 
 def lit_room() -> np.ndarray:
@@ -127,7 +136,9 @@ def test_samples_of_the_environment_are_taken_by_their_density() -> None:
     radiance = environment.radiance(d, np.ones((len(d), 3)))[:, 0]
     texels, solid = face_directions(64), np.tile(solid_angles(64).ravel(), 6)
     exact = (
-        environment.radiance(texels.reshape(-1, 3) @ turn, np.ones((solid.size, 3)))[:, 0]
+        environment.radiance(texels.reshape(-1, 3) @ turn, np.ones((solid.size, 3)))[
+            :, 0
+        ]
         @ solid
     )
     assert (radiance / environment.density(d)[:, 0]).mean() == pytest.approx(
@@ -142,9 +153,9 @@ def test_what_nobody_saw_is_as_bright_as_the_ray_is_wide() -> None:
         (np.full((6, 4, 4, 3), 0.2), np.ones((6, 4, 4, 3))), np.eye(3)
     )
     wide = np.tile([[0.0], [0.5], [1.0]], 3)
-    assert environment.radiance(normalise(np.ones((3, 3))), wide)[:, 0] == pytest.approx(
-        [0.2, 0.6, 1.0]
-    )
+    assert environment.radiance(normalise(np.ones((3, 3))), wide)[
+        :, 0
+    ] == pytest.approx([0.2, 0.6, 1.0])
     widths = [float(lobe_width(np.array(r))) for r in (0.0, 0.35, 1.0)]
     assert widths[0] == 0 and 0.2 < widths[1] < 0.9 and widths[2] == 1
 
@@ -222,7 +233,9 @@ def test_a_black_ball_takes_its_form_factor_from_the_plane() -> None:
 
 @pytest.mark.parametrize("roughness", [0.4, 1.0])
 def test_a_bright_spot_of_the_environment_makes_no_specks(roughness: float) -> None:
-    metal = Material(base_colour=(0.9, 0.9, 0.9, 1.0), metallic=1.0, roughness=roughness)
+    metal = Material(
+        base_colour=(0.9, 0.9, 0.9, 1.0), metallic=1.0, roughness=roughness
+    )
     for body in (metal, MATT_WHITE):
         s = on_plane(ball(body), DIM, CAMERA)
         around = CubeMap.of(lit_room())

@@ -76,7 +76,9 @@ def test_paths_of_the_reference_end_late_enough() -> None:
     """The same inside of a bright bowl; after three places it was 1.5 % off."""
     bright = Material(base_colour=(0.9, 0.9, 0.9, 1.0), specular=0.0, roughness=1.0)
     s, pose = on_plane(bowl(bright), EVEN, CAMERA), from_above(0, 0.35)
-    made = run_gi(s, "reference", pose, plain_plate(rgb=(0, 0, 0)), GiParams(samples=16))
+    made = run_gi(
+        s, "reference", pose, plain_plate(rgb=(0, 0, 0)), GiParams(samples=16)
+    )
     g = ground_points(s, pose)
     inside = inner(made[Layer.COVERAGE]) & (
         np.hypot(g[..., 0], g[..., 1]) < 0.7 * RADIUS_M
@@ -130,7 +132,9 @@ def test_a_mirror_sends_on_what_it_mirrors_and_no_lamp_as_if_it_were_matt() -> N
 def test_the_light_is_the_frames_own() -> None:
     s = on_plane(box(MATT_RED), NIGHT, CAMERA)
     own = Light((0.2, 0.1, 0.1), ())
-    assert s.light_of(facts(s).with_(light=own)) is own and s.light_of(facts(s)) is NIGHT
+    assert (
+        s.light_of(facts(s).with_(light=own)) is own and s.light_of(facts(s)) is NIGHT
+    )
 
 
 def with_a_rod(material: Material) -> Model:

@@ -36,7 +36,10 @@ def plane_m() -> np.ndarray:
 
 
 def with_thing(
-    thing_m: float | np.ndarray, noise: float = 0.0, told: float = 0.0, off_px: int = 0
+    thing_m: float | np.ndarray,
+    noise: float = 0.0,
+    told: float = 0.0,
+    off_px: int = 0,
 ) -> Shot:
     """A shadow over the whole plane and a thing on it.
 
@@ -66,7 +69,9 @@ def left(at: Shot, rect: Rect | None = None, **params: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("thing_m", [0.3, 2.0, 1e6, 1e-3])
-def test_what_is_nearer_or_farther_than_the_plane_keeps_its_light(thing_m: float) -> None:
+def test_what_is_nearer_or_farther_than_the_plane_keeps_its_light(
+    thing_m: float,
+) -> None:
     shadow = left(with_thing(thing_m))
     assert shadow[CLEAR].min() > 0.999
     away = np.ones(shadow.shape, bool)
@@ -92,7 +97,8 @@ def test_the_depths_own_noise_is_no_thing() -> None:
     away = np.ones(noisy.shape, bool)
     away[76:164, 106:214] = False
     assert (
-        noisy[away].mean() == pytest.approx(DARK, abs=0.003) and noisy[away].max() < 0.6
+        noisy[away].mean() == pytest.approx(DARK, abs=0.003)
+        and noisy[away].max() < 0.6
     )
     assert noisy[CLEAR].min() > 0.95
     assert left(with_thing(0.2, noise=0.02, told=0.0))[away].mean() > DARK + 0.1, (
@@ -137,7 +143,8 @@ def test_without_depth_no_job_has_it() -> None:
     )
     at = shot(width=SIZE[0], height=SIZE[1])
     assert (
-        "not known" in Holdout().demand(at.facts, at.scene, at.scene.camera.rect).reason
+        "not known"
+        in Holdout().demand(at.facts, at.scene, at.scene.camera.rect).reason
     )
     with pytest.raises(ValidationError, match="tolerance"):
         HoldoutParams(tolerance=0.0)

@@ -18,7 +18,10 @@ FAINT = 0.02
 def camera(bent: bool) -> Camera:
     k = np.array([[300.0, 0, 158], [0, 305, 118], [0, 0, 1]])
     return Camera(
-        320, 240, k, np.array([-0.25, 0.08, 0.002, -0.001, 0.0]) if bent else np.zeros(5)
+        320,
+        240,
+        k,
+        np.array([-0.25, 0.08, 0.002, -0.001, 0.0]) if bent else np.zeros(5),
     )
 
 
@@ -49,7 +52,8 @@ def spot(
     a, scale = np.radians(turn_deg), 1 / texel_m
     linear = scale * np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]])
     return PlaneTexture(
-        dark, np.column_stack([linear, np.array([columns / 2, rows / 2]) - linear @ at])
+        dark,
+        np.column_stack([linear, np.array([columns / 2, rows / 2]) - linear @ at]),
     )
 
 
@@ -109,7 +113,11 @@ def test_every_pixel_is_what_it_is_plainly(seed: int) -> None:
     pose = Pose(
         turn,
         np.array(
-            [rng.uniform(-0.05, 0.05), rng.uniform(-0.05, 0.05), rng.uniform(0.3, 0.6)]
+            [
+                rng.uniform(-0.05, 0.05),
+                rng.uniform(-0.05, 0.05),
+                rng.uniform(0.3, 0.6),
+            ]
         ),
     ).inverse()
     several = 1 + seed % 3
@@ -134,7 +142,9 @@ def test_every_pixel_is_what_it_is_plainly(seed: int) -> None:
         for k in range(several)
     ]
     blocked = spot(rng, 50, 50, 20.0, (0.02, 0.03)) if seed % 4 == 3 else None
-    shares = rng.uniform(0.2, 1.0, (several, 3 if seed % 2 else 1)) * np.ones(3) / several
+    shares = (
+        rng.uniform(0.2, 1.0, (several, 3 if seed % 2 else 1)) * np.ones(3) / several
+    )
     left, top = (int(v) for v in rng.integers(0, 60, 2))
     rect = Rect(left, top, 320 - int(rng.integers(0, 40)), 240)
     got = shadow_ratio(
@@ -151,7 +161,9 @@ def test_every_pixel_is_what_it_is_plainly(seed: int) -> None:
     assert want.min() < 0.9, "the case shows no shadow"
     # cv2.remap reads places to 1/32 of a texel, of 0.04 a texel at most
     np.testing.assert_allclose(got, want, atol=2e-3)
-    assert (got[want == 1] == 1).mean() > 0.99, "pixels that lose nothing keep their bits"
+    assert (got[want == 1] == 1).mean() > 0.99, (
+        "pixels that lose nothing keep their bits"
+    )
 
 
 @pytest.mark.parametrize("coloured", [False, True])
@@ -176,5 +188,9 @@ def test_any_rectangle_gives_the_same(coloured: bool) -> None:
 
     whole = ratio(cam.rect)
     assert whole.min() < 0.5
-    for rect in (Rect(61, 40, 200, 181), Rect(0, 0, 75, 240), Rect(150, 101, 320, 102)):
+    for rect in (
+        Rect(61, 40, 200, 181),
+        Rect(0, 0, 75, 240),
+        Rect(150, 101, 320, 102),
+    ):
         np.testing.assert_allclose(ratio(rect), whole[rect.slices], atol=1e-6)

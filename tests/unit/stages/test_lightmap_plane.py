@@ -87,13 +87,14 @@ def errors(
     """
     pick, truth = reference(name, azimuth, elevation, size)
     s = on_plane(MODELS[name](), lamp(azimuth, elevation, size))
-    made = run_stage(s, level, params=PLANE, faint=faint)[Layer.SHADOW].reshape(-1, 3)[
-        pick
-    ]
+    made = run_stage(s, level, params=PLANE, faint=faint)[Layer.SHADOW].reshape(
+        -1, 3
+    )[pick]
     inside = truth.min(1) < 0.98
     assert inside.sum() > 150
     e = 255 * (
-        SRGB.encode(LIT * made[inside].astype(float)) - SRGB.encode(LIT * truth[inside])
+        SRGB.encode(LIT * made[inside].astype(float))
+        - SRGB.encode(LIT * truth[inside])
     )
     return float(10 * np.log10(255**2 / (e * e).mean())), float(np.abs(e).mean())
 
@@ -110,7 +111,9 @@ def errors(
 def test_error_against_true_rays_falls_with_the_level(
     name: str, light: tuple[float, float, float]
 ) -> None:
-    got = {level: errors(name, level, 0.0, *light) for level in ("standard", "reference")}
+    got = {
+        level: errors(name, level, 0.0, *light) for level in ("standard", "reference")
+    }
     psnr, mean = ({k: v[i] for k, v in got.items()} for i in (0, 1))
     assert psnr["standard"] > 38 and mean["standard"] < 0.8, got
     # what is left of these is the noise of the true rays
@@ -159,7 +162,9 @@ def test_half_the_light_makes_146_of_200() -> None:
 
     sine = np.sin(np.radians(40))
     s = on_plane(box_model(), lamp(90, 40, 0.5, (0.5 / sine,) * 3, 0.5), height_m=0.5)
-    shadow = run_stage(s, params=PLANE, faint=0.0, pose=from_above(60, 2.0))[Layer.SHADOW]
+    shadow = run_stage(s, params=PLANE, faint=0.0, pose=from_above(60, 2.0))[
+        Layer.SHADOW
+    ]
     at = s.camera.project(
         from_above(60, 2.0).apply(
             np.array([0, -(0.5 + RADIUS_M) / np.tan(np.radians(40)), 0])
@@ -222,7 +227,9 @@ def test_contact_is_dark_and_the_shadow_hangs_on_the_object(
         return shadow[row, column]
 
     share = (
-        0.5 * np.sin(np.radians(elevation)) / (0.15 + 0.5 * np.sin(np.radians(elevation)))
+        0.5
+        * np.sin(np.radians(elevation))
+        / (0.15 + 0.5 * np.sin(np.radians(elevation)))
     )
     for y in (-0.04, 0.0, 0.04):
         # beside the wall half the sky is left, of the lamp nothing on the far side and all
@@ -337,9 +344,9 @@ def test_what_is_blocked_already_is_not_taken_twice() -> None:
     shadow = PlaneShadow((-0.5, -0.5, 0.5, 0.5), tuple(map(tuple, grid.tolist())))
     pose = from_above()
     free, known = (
-        run_stage(s, pose=pose, params=PLANE, faint=0.0, plane_shadow=p)[Layer.SHADOW][
-            ..., 0
-        ]
+        run_stage(s, pose=pose, params=PLANE, faint=0.0, plane_shadow=p)[
+            Layer.SHADOW
+        ][..., 0]
         for p in (None, shadow)
     )
     sky = run_stage(
@@ -405,7 +412,9 @@ def test_directions_are_rounded_finely() -> None:
 
 def test_no_direction_of_a_disc_lies_under_the_longest_shadow() -> None:
     for elevation in (0.001, 1, 4, 20):
-        d = disc_directions(quantised(np.array(towards(10, elevation)), 30.0), disc(64))
+        d = disc_directions(
+            quantised(np.array(towards(10, elevation)), 30.0), disc(64)
+        )
         assert (d[:, 2] * REACH >= np.linalg.norm(d[:, :2], axis=1) - 1e-12).all()
 
 
@@ -417,7 +426,10 @@ def test_it_lands_where_the_plane_projects(distortion: tuple[float, ...]) -> Non
         np.array([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]]),
         np.array(distortion),
     )
-    s, pose = on_plane(box_model(), lamp(0, 90, 0.5, ambient=0.0), camera), from_above()
+    s, pose = (
+        on_plane(box_model(), lamp(0, 90, 0.5, ambient=0.0), camera),
+        from_above(),
+    )
     shadow = run_stage(s, pose=pose, params=PLANE)[Layer.SHADOW][..., 0]
     points = ground_points(s, pose)[..., :2]
     far = np.abs(points).max(-1)
@@ -467,7 +479,8 @@ def test_silhouettes_are_the_union_of_the_triangles(seed: int) -> None:
         length = [np.linalg.norm(q - p) for p, q in ((a, b), (b, c), (c, a))]
         inside |= (np.min(side, 0) > 0) | (np.max(side, 0) < 0)
         near |= (
-            np.min([np.abs(s) / n for s, n in zip(side, length, strict=True)], 0) < 1e-3
+            np.min([np.abs(s) / n for s, n in zip(side, length, strict=True)], 0)
+            < 1e-3
         )
     assert 0.1 < inside.mean() < 0.95
     assert (made[~near] == inside[~near]).all()
@@ -502,7 +515,8 @@ def test_many_crossings_of_a_row_are_counted() -> None:
 
 def test_the_highest_surface_wins() -> None:
     vertices = np.array(
-        [[0, 0, 1], [20, 0, 1], [0, 20, 1], [0, 0, 0], [20, 0, 4], [0, 20, 0]], np.float32
+        [[0, 0, 1], [20, 0, 1], [0, 20, 1], [0, 0, 0], [20, 0, 4], [0, 20, 0]],
+        np.float32,
     )
     made = height_map(
         *np.ascontiguousarray(vertices.T),
@@ -518,7 +532,9 @@ def test_the_highest_surface_wins() -> None:
 
 
 @pytest.mark.parametrize("level", ["standard"])
-def test_the_penumbra_is_as_wide_as_the_light_and_the_height_make_it(level: str) -> None:
+def test_the_penumbra_is_as_wide_as_the_light_and_the_height_make_it(
+    level: str,
+) -> None:
     """A box half a metre up under a vertical light of 10 degrees: its edge against the
     share of a disc beyond a chord.
     """

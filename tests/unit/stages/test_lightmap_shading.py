@@ -90,12 +90,14 @@ def shaded(
 
     soft : as of the stage
     """
-    stage: Any = stage_of("lightmap", params.model_copy(update=dict(shadow_strength=0.0)))
+    stage: Any = stage_of(
+        "lightmap", params.model_copy(update=dict(shadow_strength=0.0))
+    )
     stage.soft = soft
     ready = ReadyStage.of(stage, s, level_named(stage.levels, level))
-    return run_stage(s, layers=layers, ready=ready, model_box=s.camera.rect, **changes)[
-        Layer.VIRTUAL
-    ]
+    return run_stage(
+        s, layers=layers, ready=ready, model_box=s.camera.rect, **changes
+    )[Layer.VIRTUAL]
 
 
 def any_normals(s: Scene) -> np.ndarray:
@@ -110,7 +112,8 @@ def far(s: Scene) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "light", [Light(lights=TWO), Light(lights=TWO, soft=SOFT), Light((0.3, 0.2, 0.1), ())]
+    "light",
+    [Light(lights=TWO), Light(lights=TWO, soft=SOFT), Light((0.3, 0.2, 0.1), ())],
 )
 @pytest.mark.parametrize("params", [BARE, PRINTED])
 def test_a_matt_surface_shows_the_radiance_of_the_light_and_the_bias(
@@ -143,7 +146,9 @@ def test_virtual_paper_matches_the_paper_beside_it(exposure: float) -> None:
     np.testing.assert_allclose(made, np.broadcast_to(marker, made.shape), atol=2e-6)
 
 
-def test_light_under_the_horizon_reaches_the_object_only_if_the_plane_lets_it() -> None:
+def test_light_under_the_horizon_reaches_the_object_only_if_the_plane_lets_it() -> (
+    None
+):
     s = on_plane(box_model(), lamp(0, -20, 2.0, ambient=0.0))
     down = np.broadcast_to(towards(0, -20), (s.camera.height, s.camera.width, 3))
     layers = surface(s, down, far(s))
@@ -174,7 +179,9 @@ def stacked() -> Model:
     """
     cube, slab = box_model().parts[0], box_model().parts[0]
     low = slab.vertices * [4.0, 4.0, 0.2] - [0, 0, 0.6]
-    return Model((cube, replace(slab, vertices=low)), up="z", source="cube on a table")
+    return Model(
+        (cube, replace(slab, vertices=low)), up="z", source="cube on a table"
+    )
 
 
 @pytest.mark.parametrize(("level", "most"), [("standard", 0.05), ("reference", 0.03)])
@@ -205,7 +212,8 @@ def test_shadow_on_itself_against_true_rays(level: str, most: float) -> None:
     weight = rays[:, 2] / rays[:, 2].sum()
     truth = (1 - hides_box(points, rays)) @ weight
     assert (
-        0.05 < (truth < 0.9).mean() < 0.6 and ((truth > 0.1) & (truth < 0.9)).sum() > 100
+        0.05 < (truth < 0.9).mean() < 0.6
+        and ((truth > 0.1) & (truth < 0.9)).sum() > 100
     )
     error = np.abs(made - truth)
     assert error[(truth > 0.02) & (truth < 0.98)].mean() < most
@@ -228,12 +236,17 @@ def test_soft_light_that_the_object_hides_from_itself_against_true_rays() -> Non
     for shape in ((0.0, 0.0, 0.0), (0.7, 0.0, 0.3)):
         light = 1 + sky @ shape
         truth = 1 - hidden @ light / light.sum()
-        surface_, place = (covered, up, at.astype(np.float32)), (Pose.identity(), shape)
+        surface_, place = (
+            (covered, up, at.astype(np.float32)),
+            (Pose.identity(), shape),
+        )
         kept = soft_visibility(s, region.rays, region.soft)
         standard = np.abs(
             visible_fraction(surface_, kept, kept.under(shape), *place)[0] - truth
         ).mean()
-        traced = visible_fraction_by_rays(surface_, region.rays, region.soft, *place)[0]
+        traced = visible_fraction_by_rays(surface_, region.rays, region.soft, *place)[
+            0
+        ]
         reference = np.abs(traced - truth).mean()
         assert truth.min() < 0.65 and reference < 0.006 < standard < 0.02, (
             standard,
@@ -250,7 +263,9 @@ def test_what_is_near_its_own_shadow_on_the_plane_is_dark() -> None:
     n = any_normals(s)
     layers = surface(s, n, RADIUS_M * n + [0, 0, RADIUS_M])
     left = [
-        shaded(s, layers, LightmapParams().model_copy(update=dict(self_shadow=k)))[..., 0]
+        shaded(s, layers, LightmapParams().model_copy(update=dict(self_shadow=k)))[
+            ..., 0
+        ]
         / (0.87 * 0.4)
         for k in (1.0, 0.5, 0.0)
     ]
@@ -285,7 +300,9 @@ def test_no_acne_on_a_ball(level: str, light: tuple[float, float, float]) -> Non
     at = s.model_points_m[f]
     shape = (s.camera.height, s.camera.width, 3)
     place = (at * w[..., None]).sum(1).reshape(shape)
-    made = shaded(s, surface(s, n.reshape(shape), place), LightmapParams(), level)[..., 0]
+    made = shaded(s, surface(s, n.reshape(shape), place), LightmapParams(), level)[
+        ..., 0
+    ]
     cosine = n.reshape(shape) @ s.light.lights[0].unit
     ideal = 0.87 * 0.5 * np.clip(cosine, 0, None)
     clear = cosine > np.sin(np.radians(light[2] / 2 + 6))
@@ -328,7 +345,9 @@ def test_a_shadow_out_of_view_and_a_plane_from_behind_ask_for_nothing() -> None:
     s = on_plane(box_model(), lamp(0, 45, 5.0))
     aside = from_above()
     aside = type(aside)(aside.rotation, aside.translation_m + np.array([3.0, 0, 0]))
-    demand = Lightmap().demand(facts(s, aside).with_(model_box=EMPTY), s, s.camera.rect)
+    demand = Lightmap().demand(
+        facts(s, aside).with_(model_box=EMPTY), s, s.camera.rect
+    )
     assert demand.rect.empty and "shadow out of view" in demand.reason
     behind = from_above(180.0)
     demand = Lightmap().demand(facts(s, behind), s, s.camera.rect)

@@ -87,7 +87,9 @@ def test_a_large_quads_coverage_is_its_area(backend: str, lens: str) -> None:
     border = np.hypot(np.diff(x, append=x[0]), np.diff(y, append=y[0])).sum()
     # an edge off by .05 px all along would show
     assert abs(out[Layer.COVERAGE].sum() - area) < 0.02 * border
-    inside = cv2.erode((out[Layer.COVERAGE] > 0).astype(np.uint8), np.ones((5, 5))) > 0
+    inside = (
+        cv2.erode((out[Layer.COVERAGE] > 0).astype(np.uint8), np.ones((5, 5))) > 0
+    )
     assert inside.sum() > 5000 and (out[Layer.COVERAGE][inside] == 1).all(), (
         "a seam between triangles"
     )
@@ -99,7 +101,9 @@ def test_plane_depth_position_normal_and_material(backend: str, lens: str) -> No
     scene = scene_of([square(0.25)], lens)
     pose = in_front(1.0, 30, -15)
     out = render(scene, pose, backend)
-    inner = cv2.erode((out[Layer.COVERAGE] == 1).astype(np.uint8), np.ones((3, 3))) > 0
+    inner = (
+        cv2.erode((out[Layer.COVERAGE] == 1).astype(np.uint8), np.ones((3, 3))) > 0
+    )
     ys, xs = np.mgrid[:240, :320]
     d = scene.camera.directions(np.stack([xs, ys], -1).astype(float))
     n, p0 = pose.rotation[:, 2], pose.translation_m
@@ -112,7 +116,9 @@ def test_plane_depth_position_normal_and_material(backend: str, lens: str) -> No
     np.testing.assert_allclose(
         out[Layer.NORMAL][inner], np.tile([0, 0, 1], (inner.sum(), 1)), atol=1e-5
     )
-    covered = out[Layer.COVERAGE] > 0  # edge pixels too: never mixed with the background
+    covered = (
+        out[Layer.COVERAGE] > 0
+    )  # edge pixels too: never mixed with the background
     np.testing.assert_allclose(
         out[Layer.ALBEDO][covered],
         np.tile([0.2, 0.4, 0.6], (covered.sum(), 1)),
@@ -157,7 +163,8 @@ def test_sides(backend: str) -> None:
         in_front().rotation @ np.diag([1.0, -1, -1]), np.array([0, 0, 1.0])
     )  # from behind
     assert (
-        render(scene_of([square(0.2, 0, one)]), pose, backend)[Layer.COVERAGE].max() == 0
+        render(scene_of([square(0.2, 0, one)]), pose, backend)[Layer.COVERAGE].max()
+        == 0
     )
     out = render(scene_of([square(0.2, 0, PLAIN)]), pose, backend)
     assert out[Layer.COVERAGE].max() == 1
@@ -192,7 +199,9 @@ def test_blend_is_ordered_whatever_the_order_in_the_file(
         )
         at = (131 - 120, 151 - 140)
         assert out[Layer.COVERAGE][at] == pytest.approx(1, abs=1e-4)
-        np.testing.assert_allclose(out[Layer.ALBEDO][at], [0.5, 0.125, 0.375], atol=1e-3)
+        np.testing.assert_allclose(
+            out[Layer.ALBEDO][at], [0.5, 0.125, 0.375], atol=1e-3
+        )
         assert out[Layer.DEPTH][at] == pytest.approx(0.9, abs=1e-4)
         assert out[Layer.OBJECT_ID][at] == 1 + parts.index(red)
         side = (131 - 120, 151 - 140 + 48)  # beside the blue one
@@ -295,7 +304,11 @@ def test_rays_give_the_same_bits_over_any_rectangle(lens: str) -> None:
     scene = Scene(camera(lens), box_model(0.3, PLAIN), np.eye(4))
     pose = in_front(0.9, 35, 25)
     whole = render(scene, pose, "rays")
-    for rect in (Rect(100, 80, 190, 150), Rect(0, 0, 160, 132), Rect(131, 100, 132, 101)):
+    for rect in (
+        Rect(100, 80, 190, 150),
+        Rect(0, 0, 160, 132),
+        Rect(131, 100, 132, 101),
+    ):
         part = render(scene, pose, "rays", rect=rect)
         for name in part:
             assert np.array_equal(part[name], whole[name][rect.slices]), name
@@ -323,7 +336,9 @@ def test_standard_is_near_the_reference(backend: str) -> None:
     assert np.abs(out[Layer.COVERAGE] - best[Layer.COVERAGE]).mean() < (
         0.0005 if backend == "rays" else 0.003
     )
-    flat = cv2.erode((best[Layer.COVERAGE] == 1).astype(np.uint8), np.ones((3, 3))) > 0
+    flat = (
+        cv2.erode((best[Layer.COVERAGE] == 1).astype(np.uint8), np.ones((3, 3))) > 0
+    )
     assert np.median(np.abs(out[Layer.DEPTH][flat] - best[Layer.DEPTH][flat])) < 1e-6
 
 
@@ -333,10 +348,18 @@ def test_the_references_positions_lie_on_the_surface() -> None:
     """
     scene = scene_of([square(0.4)])
     out = render(
-        scene, in_front(1.0, 50, 20), "rays", "reference", rect=Rect(120, 100, 190, 150)
+        scene,
+        in_front(1.0, 50, 20),
+        "rays",
+        "reference",
+        rect=Rect(120, 100, 190, 150),
     )
-    inside = cv2.erode((out[Layer.COVERAGE] == 1).astype(np.uint8), np.ones((3, 3))) > 0
-    assert inside.sum() > 1000 and np.abs(out[Layer.POSITION][inside][:, 2]).max() < 1e-6
+    inside = (
+        cv2.erode((out[Layer.COVERAGE] == 1).astype(np.uint8), np.ones((3, 3))) > 0
+    )
+    assert (
+        inside.sum() > 1000 and np.abs(out[Layer.POSITION][inside][:, 2]).max() < 1e-6
+    )
 
 
 def test_lens_table_is_exact_to_a_thousandth_of_a_pixel() -> None:
@@ -381,7 +404,12 @@ def stripes_scene(lens: str = "ideal") -> Scene:
         ),
     )
     a = np.array(
-        [[-0.15, -0.1, -0.1], [0.15, -0.1, -0.1], [0.15, 0.15, 0.12], [-0.15, 0.15, 0.12]]
+        [
+            [-0.15, -0.1, -0.1],
+            [0.15, -0.1, -0.1],
+            [0.15, 0.15, 0.12],
+            [-0.15, 0.15, 0.12],
+        ]
     )
     return scene_of([fine, quad(a)], lens)
 
@@ -400,7 +428,8 @@ def test_standard_is_near_the_mean_over_each_pixel() -> None:
         return 255 * SRGB.encode(out[Layer.ALBEDO] * out[Layer.COVERAGE][..., None])
 
     draft, standard = (
-        np.abs(seen(out) - seen(best)).max(-1)[best[Layer.COVERAGE] > 0] for out in made
+        np.abs(seen(out) - seen(best)).max(-1)[best[Layer.COVERAGE] > 0]
+        for out in made
     )
     assert standard.mean() < 1.5 < 5 * standard.mean() < draft.mean()
     assert standard.max() < 40, "an edge between parts was not sampled"
@@ -437,7 +466,12 @@ def test_a_sample_is_the_mean_over_its_texels() -> None:
 def grey(out: dict[Layer, np.ndarray]) -> np.ndarray:
     """(h, w, 7) grey levels of colour, metallic and normal before a grey wall."""
     values = np.concatenate(
-        [out[Layer.ALBEDO], out[Layer.MATERIAL][..., :1], out[Layer.NORMAL] / 2 + 0.5], -1
+        [
+            out[Layer.ALBEDO],
+            out[Layer.MATERIAL][..., :1],
+            out[Layer.NORMAL] / 2 + 0.5,
+        ],
+        -1,
     )
     coverage = out[Layer.COVERAGE][..., None]
     return 255 * SRGB.encode((values * coverage + 0.2 * (1 - coverage)).clip(0, 1))
@@ -526,7 +560,9 @@ def test_pyramid_averages_in_linear_light() -> None:
         )
     stack = texture_stack([(Texture(checker), srgb) for srgb in (True, True, False)])
     starts = stack.table[:, OFFSETS].tolist()
-    assert starts == [0, 0, 21] and len(stack.texels) == 42, "one picture is stored once"
+    assert starts == [0, 0, 21] and len(stack.texels) == 42, (
+        "one picture is stored once"
+    )
 
 
 @pytest.mark.parametrize(
@@ -542,7 +578,9 @@ def test_textures_go_on_beyond_their_edges(
     uv = np.array([[-1.0, 1], [1, 1], [1, 0], [-1, 0]])  # twice across, from -1 to 1
     base = Texture(stripes, wrap=(wrap, wrap))
     part = square(
-        0.2, 0, Material(base_colour=(1, 1, 1, 1), base_texture=base, double_sided=True)
+        0.2,
+        0,
+        Material(base_colour=(1, 1, 1, 1), base_texture=base, double_sided=True),
     )
     part = Part(part.vertices, part.faces, part.normals, part.material, uv)
     row = render(scene_of([part]), in_front(), backend)[Layer.ALBEDO][131, :, 0]
@@ -559,7 +597,8 @@ def test_demand_says_why() -> None:
         stage.demand(f, scene, frame).rect
     )
     assert (
-        stage.demand(f.with_(model_box=EMPTY), scene, frame).reason == "model out of view"
+        stage.demand(f.with_(model_box=EMPTY), scene, frame).reason
+        == "model out of view"
     )
 
 

@@ -30,7 +30,9 @@ def flat(r: int, g: int, b: int, a: int = 255) -> Texture:
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.5])
-def test_a_normal_map_bends_the_normal_to_the_pictures_right_and_up(scale: float) -> None:
+def test_a_normal_map_bends_the_normal_to_the_pictures_right_and_up(
+    scale: float,
+) -> None:
     material = replace(WHITE, normal_texture=flat(204, 166, 230), normal_scale=scale)
     out = render(scene_of([textured(material)]), in_front(), "rays", rect=MIDDLE)
     expected = (2 * np.array([204, 166, 230]) / 255 - 1) * [scale, scale, 1]

@@ -54,7 +54,9 @@ def lights(soft_visibility: float = 1.0, lamps: int = 0) -> Lights:
     towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
     visible = np.ones((lamps, SIDE, SIDE), F32)
     soft = np.full((SIDE, SIDE), soft_visibility, F32)
-    return Lights(towards, np.ones((lamps, 3), F32), np.zeros(lamps, F32), visible, soft)
+    return Lights(
+        towards, np.ones((lamps, 3), F32), np.zeros(lamps, F32), visible, soft
+    )
 
 
 EYE, NO_BIAS = np.array([0, 0, 10.0], F32), np.zeros(3, F32)
@@ -147,7 +149,9 @@ def test_a_coat_adds_no_light_and_lamps_are_mirrored_where_they_stand() -> None:
     add_clear_coat(lit, black, coat, EYE, lamp, EVEN, F32(0), split_sum(), NO_BIAS)
     half = lamp.towards[0] + np.array([0, 0, 1.0])
     brightest = np.unravel_index(lit[..., 0].argmax(), on.shape)
-    assert black.normal[brightest] @ half / np.linalg.norm(half) > np.cos(np.radians(3))
+    assert black.normal[brightest] @ half / np.linalg.norm(half) > np.cos(
+        np.radians(3)
+    )
 
 
 @pytest.mark.parametrize("roughness", [0.3, 0.5, 1.0])
@@ -170,7 +174,9 @@ def test_what_hides_soft_light_hides_what_is_mirrored_and_no_lamp() -> None:
     open_, hidden = (in_even_light(surface, lights(share)) for share in (1.0, 0.0))
     assert open_[on].min() > 0.7 and hidden[on].max() < 0.01
     lit = [in_even_light(surface, lights(share, 1)) for share in (1.0, 0.0)]
-    np.testing.assert_allclose(lit[0][on] - open_[on], lit[1][on] - hidden[on], atol=1e-5)
+    np.testing.assert_allclose(
+        lit[0][on] - open_[on], lit[1][on] - hidden[on], atol=1e-5
+    )
 
 
 def surrounded(
@@ -191,7 +197,8 @@ def on_plane(environment: Environment) -> np.ndarray:
     """(3,) radiance of a white surface on the plane."""
     d = directions(40_000)
     return np.asarray(
-        4 * (looked_up(environment, d, 0.0) * np.clip(d @ UP, 0, None)[:, None]).mean(0)
+        4
+        * (looked_up(environment, d, 0.0) * np.clip(d @ UP, 0, None)[:, None]).mean(0)
     )
 
 
@@ -214,7 +221,9 @@ def test_a_mirror_shows_what_the_clip_saw_and_a_guess_as_bright() -> None:
     d = face_directions(64)
     known = (d[..., 0:1] > 0.5).astype(float)
     seen = np.concatenate([known * 0.8 * np.ones(3), known], -1)
-    environment = surrounded(Light((0.5, 0.5, 0.5), ()), np.full((6, 6, 6, 3), 0.1), seen)
+    environment = surrounded(
+        Light((0.5, 0.5, 0.5), ()), np.full((6, 6, 6, 3), 0.1), seen
+    )
     there, elsewhere = looked_up(
         environment, np.array([[1, 0, 0.2], [0, 0, 1]], F32), 0.0
     )

@@ -19,7 +19,9 @@ CUBE = np.array(np.meshgrid([0, 1], [0, 1], [0, 1.0])).reshape(3, -1).T
 
 def arc(angle: float) -> np.ndarray:
     a = np.linspace(0, angle, 20_000)
-    return np.concatenate([np.column_stack([np.cos(a), np.sin(a), 0 * a]), [[0, 0, 1.0]]])
+    return np.concatenate(
+        [np.column_stack([np.cos(a), np.sin(a), 0 * a]), [[0, 0, 1.0]]]
+    )
 
 
 @pytest.mark.parametrize(
@@ -57,4 +59,6 @@ def test_flat_points_are_kept_or_stood_for() -> None:
     flat = np.column_stack([np.random.default_rng(2).random((500, 2)), np.zeros(500)])
     assert len(_outline(flat[:20])) == 20
     outline = _outline(flat)
-    assert (outline.min(0) <= flat.min(0)).all() and (outline.max(0) >= flat.max(0)).all()
+    assert (outline.min(0) <= flat.min(0)).all() and (
+        outline.max(0) >= flat.max(0)
+    ).all()

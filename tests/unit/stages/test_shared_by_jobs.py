@@ -40,12 +40,13 @@ def test_later_jobs_find_transport_and_shadow_region(
     )
     assert gi.prepare(
         elsewhere, "draft"
-    ).transport is not one.transport and shadow_region(elsewhere) is not shadow_region(
-        first
-    )
+    ).transport is not one.transport and shadow_region(
+        elsewhere
+    ) is not shadow_region(first)
     assert gi.prepare(first, "standard").transport is not one.transport, (
         "another level has other rays"
     )
     assert (
-        gi.prepare(scene(model=replace(model)), "draft").transport is not one.transport
+        gi.prepare(scene(model=replace(model)), "draft").transport
+        is not one.transport
     ), "another model, if it looks the same"

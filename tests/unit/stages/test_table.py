@@ -89,7 +89,9 @@ def test_they_come_last_by_name(install: Install) -> None:
     assert table.source("haze") == (module, "1.2")
 
 
-def test_source_and_version_tell_one_state_of_it_from_another(install: Install) -> None:
+def test_source_and_version_tell_one_state_of_it_from_another(
+    install: Install,
+) -> None:
     module = install("one", "mist")
     first = code_digest(module, "1.2")
     code_digest.cache_clear()
@@ -194,7 +196,9 @@ def test_what_a_plug_in_raises_or_returns_wrong_names_it_and_the_frame(
     stage.result = result
     scene, facts = SimpleNamespace(seed=0), SimpleNamespace(index=7)
     ready = {"plug": ReadyStage.of(stage, scene, "standard")}
-    plan = FramePlan(7, rect, rect, (Step("plug", "standard", rect, rect, "", None),), ())
+    plan = FramePlan(
+        7, rect, rect, (Step("plug", "standard", rect, rect, "", None),), ()
+    )
     with pytest.raises(RenderError, match=said):
         run_frame(np.zeros((4, 4, 3), np.float32), facts, plan, ready)
 
@@ -211,7 +215,9 @@ def test_a_plug_in_whose_demand_is_no_demand_is_named(
         plan_frame([Plug()], {"plug": "standard"}, facts, SimpleNamespace(), rect)
 
 
-def test_a_plug_in_that_cannot_be_made_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_plug_in_that_cannot_be_made_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def fails(*_: Any) -> None:
         raise ZeroDivisionError("by 0")
 

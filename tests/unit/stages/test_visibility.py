@@ -71,7 +71,9 @@ def test_each_pixel_sees_the_nearest_face_in_pictures_of_any_width(
     prim, depth = nearest_faces(
         Projection(pixels, points, faces, hidden, 0.0, EPS_DEPTH_M), x, y
     )
-    expected, far = plain(points, faces, hidden, np.column_stack([x.ravel(), y.ravel()]))
+    expected, far = plain(
+        points, faces, hidden, np.column_stack([x.ravel(), y.ravel()])
+    )
     assert (expected >= 0).sum() >= min(width, 8)
     np.testing.assert_array_equal(prim.ravel(), expected)
     np.testing.assert_allclose(depth.ravel(), far, rtol=1e-6)
@@ -95,7 +97,9 @@ def test_each_sample_sees_the_nearest_face_whatever_their_number(
         np.full((len(points), 2), np.nan), points, faces, hidden, 0.0, EPS_DEPTH_M
     )
     prim, depth = nearest_faces_at(projection, slot, x, y)
-    expected, far = plain(points, faces, hidden, np.column_stack([x.ravel(), y.ravel()]))
+    expected, far = plain(
+        points, faces, hidden, np.column_stack([x.ravel(), y.ravel()])
+    )
     assert (expected >= 0).any()
     np.testing.assert_array_equal(prim.ravel(), expected)
     np.testing.assert_allclose(depth.ravel(), far, rtol=1e-6)

@@ -17,8 +17,20 @@ from arfx.stages.watercolor.cells import (
 )
 from arfx.stages.watercolor.field import detail_factor
 from arfx.stages.watercolor.label_kernels import SOLID
-from arfx.stages.watercolor.labels import STILL, Wobble, label, make_wobble, sort_sites
-from arfx.stages.watercolor.sites import STEPS, SiteField, Sites, make_sites, still_field
+from arfx.stages.watercolor.labels import (
+    STILL,
+    Wobble,
+    label,
+    make_wobble,
+    sort_sites,
+)
+from arfx.stages.watercolor.sites import (
+    STEPS,
+    SiteField,
+    Sites,
+    make_sites,
+    still_field,
+)
 from tests.reference.labels import displacement, nearest_two
 
 FRAME = Rect.of(200, 150)
@@ -106,7 +118,9 @@ def test_labels_of_cells_by_detail_are_those_of_brute_force(case: int) -> None:
     first, second, _ = nearest_two(sites, rect, displacement(wobble, rect))
     assert len(np.unique(sites.weight)) > 1 and np.array_equal(found.first, first)
     if blend:
-        assert np.array_equal(found.second, np.where(found.inside < SOLID, second, first))
+        assert np.array_equal(
+            found.second, np.where(found.inside < SOLID, second, first)
+        )
 
 
 def test_cells_wider_than_float32_tells_apart() -> None:
@@ -142,7 +156,10 @@ def test_no_sites() -> None:
 def test_every_site_lies_in_its_cell_and_no_pixel_is_far_from_its_site() -> None:
     sites = eq1_sites(FRAME, 15, 20, 4)
     found = label(sites, FRAME).first
-    x, y = np.round(sites.x / STEPS).astype(int), np.round(sites.y / STEPS).astype(int)
+    x, y = (
+        np.round(sites.x / STEPS).astype(int),
+        np.round(sites.y / STEPS).astype(int),
+    )
     inside = (x >= 0) & (y >= 0) & (x < 200) & (y < 150)
     own = found[y[inside], x[inside]]
     d = np.hypot(sites.x[own] / STEPS - x[inside], sites.y[own] / STEPS - y[inside])
@@ -158,7 +175,9 @@ def test_a_cell_has_the_exact_mean_of_its_pixels() -> None:
     image = np.random.default_rng(0).random((150, 200, 3), np.float32)
     found = label(make_sites(still_field(200, 150, 7, 0), 1, 10**5), FRAME)
     cells = [image[found.first == k] for k in range(found.count)]
-    every = [cell.mean(0, dtype=float) if len(cell) else np.zeros(3) for cell in cells]
+    every = [
+        cell.mean(0, dtype=float) if len(cell) else np.zeros(3) for cell in cells
+    ]
     mean, area = mean_colours(image, [found.first], found.count)
     np.testing.assert_allclose(mean, every, atol=1e-7)
     assert area.tolist() == [len(cell) for cell in cells]
@@ -185,7 +204,10 @@ def test_density_stays_within_a_factor_of_two_under_zoom(
     everywhere.
     """
     f = still_field(320, 240, 8, 64)
-    c, s = np.cos(np.radians(roll_deg)) / factor, np.sin(np.radians(roll_deg)) / factor
+    c, s = (
+        np.cos(np.radians(roll_deg)) / factor,
+        np.sin(np.radians(roll_deg)) / factor,
+    )
     sites = make_sites(
         SiteField(f.x0, f.y0, c * f.u - s * f.v, s * f.u + c * f.v, f.size), 2, 10**6
     )
@@ -205,7 +227,9 @@ def test_density_follows_its_target_under_zoom_where_cells_go_by_detail(
     f = still_field(320, 240, 8, 64)
     seen = np.linspace(0, 100, f.size.shape[1]) * np.ones(f.size.shape)
     size = f.size * detail_factor(seen)
-    sites = make_sites(SiteField(f.x0, f.y0, f.u / factor, f.v / factor, size), 2, 10**6)
+    sites = make_sites(
+        SiteField(f.x0, f.y0, f.u / factor, f.v / factor, size), 2, 10**6
+    )
     full = sites.weight > -((0.7 * 8 * STEPS) ** 2)
     count, *_ = np.histogram2d(
         sites.y[full] / STEPS,
@@ -254,12 +278,19 @@ def test_sites_appear_from_nothing_and_never_move() -> None:
                 k_ for k_, p in places.items() if p[0] * 1 / k < 120 and p[1] / k < 90
             }  # away from the border
             worst = max(
-                [worst, *(now[k_] for k_ in now.keys() - before.keys() if k_ in middle)]
+                [
+                    worst,
+                    *(now[k_] for k_ in now.keys() - before.keys() if k_ in middle),
+                ]
             )
             worst = max(
                 [
                     worst,
-                    *(before[k_] for k_ in before.keys() - now.keys() if k_ in middle),
+                    *(
+                        before[k_]
+                        for k_ in before.keys() - now.keys()
+                        if k_ in middle
+                    ),
                 ]
             )
         before = now
@@ -310,7 +341,10 @@ def test_neighbours_are_those_of_all_pairs_wherever_the_picture_moves() -> None:
 def test_what_rounding_made_whiter_than_white_is_white() -> None:
     assert (
         adjust_tone(
-            np.full((2, 3), np.nextafter(np.float32(1), np.float32(2))), 0.25, 1.15, 0.12
+            np.full((2, 3), np.nextafter(np.float32(1), np.float32(2))),
+            0.25,
+            1.15,
+            0.12,
         )
         == 1
     ).all()

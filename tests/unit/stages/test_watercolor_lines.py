@@ -122,7 +122,9 @@ def test_an_object_of_the_colour_of_its_background_keeps_its_outline_and_creases
     )
     whole = line(coverage, normal, depth)
     assert (
-        whole[15, 7:9].max() > 0.7 and whole[15, 14:16].max() > 0.5 and whole[15, 3] == 0
+        whole[15, 7:9].max() > 0.7
+        and whole[15, 14:16].max() > 0.5
+        and whole[15, 3] == 0
     )
     normal[..., :] = (0, 0, 1)
     smooth = line(coverage, normal, depth)
@@ -135,9 +137,13 @@ def test_an_object_of_the_colour_of_its_background_keeps_its_outline_and_creases
 
 def test_toon_has_three_tones_of_the_printed_factors() -> None:
     c = np.cos(np.linspace(0, np.pi, 2001))
-    hard, soft = (0.5 * tones(c, (0.5, 0.2), (1, 0.4, 0.1), ramp) for ramp in (0.0, RAMP))
+    hard, soft = (
+        0.5 * tones(c, (0.5, 0.2), (1, 0.4, 0.1), ramp) for ramp in (0.0, RAMP)
+    )
     np.testing.assert_allclose(hard[c > 0.5 + 1e-5], 0.5, rtol=1e-5)
-    np.testing.assert_allclose(hard[(c > 0.2 + 1e-5) & (c < 0.5 - 1e-5)], 0.2, rtol=1e-5)
+    np.testing.assert_allclose(
+        hard[(c > 0.2 + 1e-5) & (c < 0.5 - 1e-5)], 0.2, rtol=1e-5
+    )
     np.testing.assert_allclose(hard[c < 0.2 - 1e-5], 0.05, rtol=1e-4)
     assert len(np.unique(hard.round(5))) == 3
     assert (
@@ -185,7 +191,9 @@ def test_borders_stray_with_the_things_between_pixels_too() -> None:
     assert pose is not None
     near = replace(pose, translation_m=pose.translation_m + np.array([0.05, 0, 0]))
     (x, y), (x2, y2) = (cam.project(p.translation_m[None])[0] for p in (pose, near))
-    one, other = (wobbles.at(*object_shift(cam, p, np.zeros(3))) for p in (pose, near))
+    one, other = (
+        wobbles.at(*object_shift(cam, p, np.zeros(3))) for p in (pose, near)
+    )
     assert (
         abs(other.x - one.x - (x - x2)) < 1.3
         and abs(other.y - one.y - (y - y2)) < 1.3

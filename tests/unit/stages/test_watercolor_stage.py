@@ -80,9 +80,9 @@ def painted(
 def picture(h: int = 120, w: int = 160) -> np.ndarray:
     y, x = np.mgrid[0:h, 0:w]
     return (
-        np.stack([x / w, y / h, 0.5 + 0.4 * np.sin(x / 9) * np.cos(y / 7)], -1).astype(
-            np.float32
-        )
+        np.stack(
+            [x / w, y / h, 0.5 + 0.4 * np.sin(x / 9) * np.cos(y / 7)], -1
+        ).astype(np.float32)
         ** 2
     )
 
@@ -94,7 +94,9 @@ def test_any_size_is_painted(size: tuple[int, int], kind: type, level: str) -> N
     s = scene(camera(*size))
     out = painted(picture(size[1], size[0]), kind(), level=level, s=s)
     assert (
-        out.shape == (size[1], size[0], 3) and np.isfinite(out).all() and out.min() >= 0
+        out.shape == (size[1], size[0], 3)
+        and np.isfinite(out).all()
+        and out.min() >= 0
     )
 
 
@@ -151,7 +153,9 @@ def test_the_paper_flickers_and_the_correction_does_not() -> None:
             np.sqrt(painted(f, params, FrameFacts(k, k / 30)))
             for k, f in enumerate(frames)
         ]
-        error[name] = np.mean([np.mean((a - b) ** 2) for a, b in itertools.pairwise(out)])
+        error[name] = np.mean(
+            [np.mean((a - b) ** 2) for a, b in itertools.pairwise(out)]
+        )
     assert error["ours"] < error["paper"] / 100 and error["all"] < error["paper"] / 10
 
 
@@ -166,7 +170,8 @@ def test_cells_are_kept_while_their_sites_stay_and_give_the_same_bits() -> None:
     nodes = still_field(160, 120, 8, 96)
     moved = SEEN.with_(advection=fact_of(nodes, nodes.u + 1.5, nodes.v))
     assert (
-        not np.array_equal(painted(image, ready=ready, f=moved), first) and memo.made == 2
+        not np.array_equal(painted(image, ready=ready, f=moved), first)
+        and memo.made == 2
     )
     memo.clear()
     assert np.array_equal(painted(image, ready=ready, f=SEEN), first)
@@ -222,7 +227,9 @@ def ball(image: np.ndarray) -> dict[str, np.ndarray]:
     nx, ny = (x - cx) / r, (y - cy) / r
     inside = nx**2 + ny**2 < 1
     nz = np.sqrt(np.clip(1 - nx**2 - ny**2, 0, 1))
-    normal = np.where(inside[..., None], np.stack([nx, ny, nz], -1), 0).astype(np.float32)
+    normal = np.where(inside[..., None], np.stack([nx, ny, nz], -1), 0).astype(
+        np.float32
+    )
     virtual = (np.where(inside, 0.25, 0)[..., None] * np.ones(3)).astype(np.float32)
     image[inside] = 0.25
     return {
@@ -261,7 +268,11 @@ def test_painted_the_object_has_the_hue_and_brightness_of_the_lit_one(
     for ambient, strength in ((0.4, 0.4), (0.1, 0.9), (0.6, 0.05)):
         light = Light(
             (ambient,) * 3,
-            (DirectionalLight((0.9, 0.1, 0.4), (strength, strength, 0.8 * strength)),),
+            (
+                DirectionalLight(
+                    (0.9, 0.1, 0.4), (strength, strength, 0.8 * strength)
+                ),
+            ),
         )
         image = np.full((120, 160, 3), 0.3, np.float32)
         parts = ball(image)
@@ -276,7 +287,9 @@ def test_painted_the_object_has_the_hue_and_brightness_of_the_lit_one(
         for opacity in (1.0, 0.6):
             before = opacity * lit + (1 - opacity) * 0.3
             image[inside] = before[inside]
-            out = painted(image, flat, SEEN.with_(light=light, opacity=opacity), **parts)
+            out = painted(
+                image, flat, SEEN.with_(light=light, opacity=opacity), **parts
+            )
             np.testing.assert_allclose(
                 out[inside].mean(0), before[inside].mean(0), rtol=0.01
             )
@@ -301,7 +314,9 @@ def test_depth_that_is_not_a_number_harms_nothing() -> None:
 
 def test_nearer_parts_of_the_plane_have_finer_cells() -> None:
     image = np.random.default_rng(0).random((120, 160, 3))
-    out = painted(image, PLAIN.model_copy(update=dict(nearer_finer=1.0, cell_px=6)), SEEN)
+    out = painted(
+        image, PLAIN.model_copy(update=dict(nearer_finer=1.0, cell_px=6)), SEEN
+    )
     rough = [
         float(np.mean(np.any(out[y : y + 40, 1:] != out[y : y + 40, :-1], -1)))
         for y in (0, 80)
@@ -310,7 +325,9 @@ def test_nearer_parts_of_the_plane_have_finer_cells() -> None:
 
 
 def deep(f: FrameFacts, depth_m: np.ndarray) -> FrameFacts:
-    return f.with_(real_depth=RealDepth.of(0, 1.0, "", tile_ranges(depth_m, (160, 120))))
+    return f.with_(
+        real_depth=RealDepth.of(0, 1.0, "", tile_ranges(depth_m, (160, 120)))
+    )
 
 
 @pytest.mark.parametrize("f", [ABSENT, SEEN], ids=["without a marker", "with one"])
@@ -325,7 +342,8 @@ def test_where_measured_depth_is_near_cells_are_finer(f: FrameFacts) -> None:
         assert share > expected if expected > 1 else share < expected
     even = params.model_copy(update=dict(nearer_finer=0.0))
     assert np.array_equal(
-        painted(image, even, deep(f, depth), real_depth=depth), painted(image, even, f)
+        painted(image, even, deep(f, depth), real_depth=depth),
+        painted(image, even, f),
     )
 
 
@@ -338,7 +356,9 @@ def test_a_job_without_depth_never_looks_at_it() -> None:
     assert np.array_equal(ready.run(bare, SEEN)[Layer.IMAGE], painted(image, f=SEEN))
 
 
-def test_cells_stay_what_they_are_though_measured_depth_is_noisy_and_has_holes() -> None:
+def test_cells_stay_what_they_are_though_measured_depth_is_noisy_and_has_holes() -> (
+    None
+):
     """A still camera: noise of a depth camera, and 3 % of the map filled from beside, anew
     in every frame, about a near box.
     """
@@ -363,7 +383,10 @@ def test_cells_stay_what_they_are_though_measured_depth_is_noisy_and_has_holes()
         printed.append(
             np.sqrt(
                 painted(
-                    image, PrintedWatercolorParams(line_threshold=2), f, real_depth=depth
+                    image,
+                    PrintedWatercolorParams(line_threshold=2),
+                    f,
+                    real_depth=depth,
                 )
             )
         )
@@ -399,7 +422,8 @@ def test_cells_of_the_objects_near_parts_are_finer() -> None:
     assert near > 1.1 * far > 1.1
     growing = sites.weight < 0
     assert (
-        growing.any() and (sites.weight >= -((1.2 * 8 * size[sites.key]) ** 2) - 1).all()
+        growing.any()
+        and (sites.weight >= -((1.2 * 8 * size[sites.key]) ** 2) - 1).all()
     )
 
 
@@ -420,7 +444,9 @@ def test_cells_that_hardly_differ_with_nearness_are_those_that_do_not() -> None:
         {"wash": 0.9, "lines": 0.95, "line_low": 0.012, "line_high": 0.035},
     ],
 )
-def test_levels_paint_the_same_cells_more_and_more_exactly(more: dict[str, Any]) -> None:
+def test_levels_paint_the_same_cells_more_and_more_exactly(
+    more: dict[str, Any],
+) -> None:
     """Error against the reference in coded values, which is the mean over more places in
     each pixel.
     """
@@ -467,7 +493,9 @@ def test_the_reference_level_is_the_picture_of_an_independent_one(
     size, params = (64, 48), WatercolorParams(**more)
     s, coarse = scene(camera(*size)), picture(48, 64)
     image = np.where(
-        (np.indices((48, 64)) // 16).sum(0)[..., None] % 2, coarse, 0.7 * coarse[:, ::-1]
+        (np.indices((48, 64)) // 16).sum(0)[..., None] % 2,
+        coarse,
+        0.7 * coarse[:, ::-1],
     ).astype(np.float32)
     made = {}
     for level in ("high", "reference"):
@@ -503,7 +531,9 @@ def test_pigment_follows_its_formula_on_an_even_wash(level: str) -> None:
     stage = Watercolor(only_grain)
     paper = stage.prepare(SCENE, level).paper[:120, :160, None]
     np.testing.assert_allclose(
-        out, np.broadcast_to(0.25 * (1 - (1 - 0.25) * 0.3 * paper), out.shape), atol=2e-5
+        out,
+        np.broadcast_to(0.25 * (1 - (1 - 0.25) * 0.3 * paper), out.shape),
+        atol=2e-5,
     )
 
 
@@ -610,12 +640,17 @@ def test_nothing_pops_in_a_zoom() -> None:
             z = 4.0 ** -(0.5 - 0.5 * np.cos(2 * np.pi * k / 300))
             m = np.array([[z, 0, 350 - 80 * z], [0, z, 350 - 60 * z], [0, 0, 1]])
             frame = cv2.warpAffine(
-                world, m[:2], (160, 120), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+                world,
+                m[:2],
+                (160, 120),
+                flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
             )
             f = FrameFacts(
                 k,
                 k / 30,
-                advection=fact_of(nodes, z * nodes.u + m[0, 2], z * nodes.v + m[1, 2]),
+                advection=fact_of(
+                    nodes, z * nodes.u + m[0, 2], z * nodes.v + m[1, 2]
+                ),
             )
             now = np.sqrt(painted(frame**2, f=f, ready=ready))
             if before is not None:

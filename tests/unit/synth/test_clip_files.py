@@ -43,7 +43,11 @@ def decoded(path: Path) -> tuple[list[float], list[list[np.ndarray]], int]:
     with av.open(str(path)) as c:
         frames = list(c.decode(video=0))
         times = [float(f.pts * f.time_base) for f in frames]
-        return times, [[planar(p) for p in f.planes] for f in frames], frames[0].rotation
+        return (
+            times,
+            [[planar(p) for p in f.planes] for f in frames],
+            frames[0].rotation,
+        )
 
 
 def planar(plane: av.video.plane.VideoPlane) -> np.ndarray:
@@ -135,9 +139,9 @@ def test_a_tone_of_the_stated_pitch_and_length(tmp_path: Path) -> None:
         sound = np.concatenate([f.to_ndarray()[0] for f in c.decode(audio=0)])
     assert len(sound) == pytest.approx(0.8 * 48_000, abs=2048)
     spectrum = np.abs(np.fft.rfft(sound))
-    assert np.fft.rfftfreq(len(sound), 1 / 48_000)[spectrum.argmax()] == pytest.approx(
-        440, abs=3
-    )
+    assert np.fft.rfftfreq(len(sound), 1 / 48_000)[
+        spectrum.argmax()
+    ] == pytest.approx(440, abs=3)
 
 
 def test_the_stated_camera_differs_from_the_true_one_only_as_the_scene_says(
@@ -183,7 +187,9 @@ def test_nothing_is_left_of_a_clip_that_failed(
 
     monkeypatch.setattr(clip_module, "write_model", broken)
     with pytest.raises(KeyboardInterrupt):
-        make_clip(little_scene(64, 48, frames=1, path=ORBIT, **PARTS), tmp_path / "out")
+        make_clip(
+            little_scene(64, 48, frames=1, path=ORBIT, **PARTS), tmp_path / "out"
+        )
     assert list(tmp_path.iterdir()) == []
 
 
@@ -200,7 +206,9 @@ def test_a_folder_is_replaced_only_on_request(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "clip.mp4").exists()
 
 
-def test_a_depth_input_is_the_true_depth_as_a_camera_measures_it(tmp_path: Path) -> None:
+def test_a_depth_input_is_the_true_depth_as_a_camera_measures_it(
+    tmp_path: Path,
+) -> None:
     name = "depth.mkv"
     parts = {
         **PARTS,
@@ -217,9 +225,9 @@ def test_a_depth_input_is_the_true_depth_as_a_camera_measures_it(tmp_path: Path)
     )
     make_clip(exact, tmp_path / "exact")
     make_clip(rough, tmp_path / "rough")
-    job = tomllib.loads((tmp_path / "exact" / "job.toml").read_text(encoding="utf-8"))[
-        "input"
-    ]
+    job = tomllib.loads(
+        (tmp_path / "exact" / "job.toml").read_text(encoding="utf-8")
+    )["input"]
     maps = open_depth(tmp_path / "exact" / job["depth"], job["depth_scale"])
     noisy = open_depth(tmp_path / "rough" / job["depth"], job["depth_scale"])
     assert maps.of_frames([0.0, 0.1, 0.2], 0, whole=True) == [0, 1, 2]

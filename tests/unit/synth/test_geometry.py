@@ -63,7 +63,9 @@ def test_every_surface_point_projects_onto_its_own_pixel_by_opencv(lens: str) ->
         )[0][:, 0]
     else:
         d = c.distortion if c.distortion.size else np.zeros(4)
-        pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), c.matrix, d)[0][:, 0]
+        pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), c.matrix, d)[0][
+            :, 0
+        ]
     np.testing.assert_allclose(pixels, np.stack([x, y], -1), atol=1e-5)
     room = world.camera_at(0, 0.0).inverse().apply(points)
     assert np.abs(room[owner[y, x] == 1][:, 2]).max() < 1e-9  # the table is z = 0
@@ -90,7 +92,10 @@ def test_flow_carries_one_frame_onto_the_next() -> None:
     flow = picture.flow(1, depth, owner)
     before, after = (picture.radiance(n)[..., 0].astype(np.float32) for n in (1, 2))
     y, x = np.indices(depth.shape)
-    u, v = (flow[..., 0] + x).astype(np.float32), (flow[..., 1] + y).astype(np.float32)
+    u, v = (
+        (flow[..., 0] + x).astype(np.float32),
+        (flow[..., 1] + y).astype(np.float32),
+    )
     there = cv2.remap(after, u, v, cv2.INTER_LINEAR)
     inside = np.isfinite(flow).all(-1) & (u > 2) & (v > 2) & (u < 157) & (v < 117)
     assert np.nanmax(np.abs(flow)) > 2
@@ -145,7 +150,8 @@ def test_lights_of_the_truth_agree_in_all_frames_of_reference() -> None:
         atol=1e-12,
     )
     in_camera = (
-        truth.markers["36h11:3"].camera_from_marker.rotation @ lamp["marker"]["36h11:3"]
+        truth.markers["36h11:3"].camera_from_marker.rotation
+        @ lamp["marker"]["36h11:3"]
     )
     np.testing.assert_allclose(in_camera, lamp["camera"], atol=1e-12)
 
@@ -154,7 +160,9 @@ def test_lights_of_the_truth_agree_in_all_frames_of_reference() -> None:
 def test_looking_straight_down_is_never_singular(offset_m: float) -> None:
     for sign in (1, -1):
         pose = look_at(np.array([offset_m, 0, sign * 1.0]), np.zeros(3))
-        np.testing.assert_allclose(pose.rotation @ pose.rotation.T, np.eye(3), atol=1e-12)
+        np.testing.assert_allclose(
+            pose.rotation @ pose.rotation.T, np.eye(3), atol=1e-12
+        )
         assert np.linalg.det(pose.rotation) == pytest.approx(1)
         seen = pose.apply(np.zeros(3))
         np.testing.assert_allclose(seen[:2], 0, atol=1e-12)
@@ -172,7 +180,9 @@ position_m = [0.2, 0, 0]
 attached_to = "36h11:3"
 """
     world = World(scene(body, path=FRONTAL))
-    np.testing.assert_allclose(world.poses(0.0)[0].translation_m, [0.3, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(
+        world.poses(0.0)[0].translation_m, [0.3, 0, 0], atol=1e-12
+    )
     np.testing.assert_allclose(
         world.poses(world.duration_s)[0].translation_m, [0.1, 0.2, 0], atol=1e-12
     )

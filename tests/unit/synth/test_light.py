@@ -54,7 +54,11 @@ def test_a_sphere_s_shadow_is_the_cylinder_behind_it() -> None:
         "rgb": [0.6, 0.6, 0.6],
         "angular_size_deg": 0,
     }
-    ball = {"radius_m": 0.06, "position_m": [0.15, 0.05, 0.1], "colour": [0.9, 0.1, 0.1]}
+    ball = {
+        "radius_m": 0.06,
+        "position_m": [0.15, 0.05, 0.1],
+        "colour": [0.9, 0.1, 0.1],
+    }
     scene = little_scene(
         160,
         120,
@@ -118,7 +122,9 @@ def test_a_shadow_is_the_outline_of_the_corners(
         "texture": GREY,
     }
     objects = (
-        {"plane": [FLOOR], "box": boxes} if what == "boxes" else {"plane": [FLOOR, board]}
+        {"plane": [FLOOR], "box": boxes}
+        if what == "boxes"
+        else {"plane": [FLOOR, board]}
     )
     scene = little_scene(
         160,
@@ -148,7 +154,9 @@ def test_a_shadow_is_the_outline_of_the_corners(
             )
         )
         hull = cv2.convexHull(
-            (corners - corners[:, 2:] / towards[2] * towards)[:, :2].astype(np.float32)
+            (corners - corners[:, 2:] / towards[2] * towards)[:, :2].astype(
+                np.float32
+            )
         )
         distance = [
             cv2.pointPolygonTest(hull, (float(x), float(y)), True)
@@ -215,17 +223,23 @@ def test_lamps_of_a_panorama_light_every_surface_like_it(name: str) -> None:
     rng = np.random.default_rng(0)
     for normal in rng.normal(size=(40, 3)):
         normal /= np.linalg.norm(normal)
-        exact = (panorama * (np.clip(towards @ normal, 0, None) * weight)[..., None]).sum(
-            (0, 1)
+        exact = (
+            panorama * (np.clip(towards @ normal, 0, None) * weight)[..., None]
+        ).sum((0, 1))
+        made = (lamps[:, 3:6] * np.clip(lamps[:, :3] @ normal, 0, None)[:, None]).sum(
+            0
         )
-        made = (lamps[:, 3:6] * np.clip(lamps[:, :3] @ normal, 0, None)[:, None]).sum(0)
         assert np.abs(made / exact - 1).max() < 0.03, normal
 
 
-def test_a_panorama_file_is_upright_and_a_broken_one_is_refused(tmp_path: Path) -> None:
+def test_a_panorama_file_is_upright_and_a_broken_one_is_refused(
+    tmp_path: Path,
+) -> None:
     """One bright spot at azimuth 90 degrees, elevation 30: the strongest lamp lies there."""
     picture = np.full((64, 128, 3), 0.01, np.float32)
-    picture[21, 31:33] = 500  # row (90 - 30) / 180 * 64, column (180 - 90) / 360 * 128
+    picture[21, 31:33] = (
+        500  # row (90 - 30) / 180 * 64, column (180 - 90) / 360 * 128
+    )
     cv2.imwrite(str(tmp_path / "spot.hdr"), picture)
     lamps = environment_lights(environment_picture("spot.hdr", tmp_path), 16)
     brightest = lamps[lamps[:, 3:6].sum(1).argmax()]
@@ -293,7 +307,8 @@ def test_one_sample_stands_for_all_only_where_nothing_ends() -> None:
     }
     few, every = (
         picture_of(
-            little_scene(160, 120, path=from_above(), lens={"shutter_s": s}, **parts), 3
+            little_scene(160, 120, path=from_above(), lens={"shutter_s": s}, **parts),
+            3,
         )[1].radiance(0)
         for s in (0, 1e-9)
     )

@@ -9,7 +9,12 @@ import pytest
 
 from arfx.core.colour import SRGB
 from arfx.synth.picture import expose, gain_at, unit_noise
-from tests.unit.synth.little_scenes import NO_NOISE, from_above, little_scene, picture_of
+from tests.unit.synth.little_scenes import (
+    NO_NOISE,
+    from_above,
+    little_scene,
+    picture_of,
+)
 
 BLACK = {"kind": "plain", "colour": [0, 0, 0]}
 WHITE = {"kind": "plain", "colour": [1, 1, 1]}
@@ -44,7 +49,8 @@ def test_motion_blur_is_as_long_as_the_way_during_the_shutter_and_centred() -> N
     over 11.1 px.
     """
     keys = [
-        {"time_s": t, "position_m": [2 + 0.5 * t, 0, 0]} for t in (-1.0, 0.0, 1.0, 2.0)
+        {"time_s": t, "position_m": [2 + 0.5 * t, 0, 0]}
+        for t in (-1.0, 0.0, 1.0, 2.0)
     ]
     moving = {**HALF, "motion": {"kind": "keys", "keys": keys}}
     lens = {"fov_deg": 71.6, "shutter_s": 0.4}
@@ -69,7 +75,8 @@ def test_motion_blur_is_as_long_as_the_way_during_the_shutter_and_centred() -> N
 
 def test_rolling_shutter_slants_what_moves() -> None:
     keys = [
-        {"time_s": t, "position_m": [2 + 0.5 * t, 0, 0]} for t in (-1.0, 0.0, 1.0, 2.0)
+        {"time_s": t, "position_m": [2 + 0.5 * t, 0, 0]}
+        for t in (-1.0, 0.0, 1.0, 2.0)
     ]
     moving = {**HALF, "motion": {"kind": "keys", "keys": keys}}
     scene = little_scene(
@@ -94,7 +101,9 @@ def test_rolling_shutter_slants_what_moves() -> None:
     )
 
 
-@pytest.mark.parametrize(("focus_m", "radius_px"), [(1.0, 0.0), (0.5, 2.4), (2.0, 1.2)])
+@pytest.mark.parametrize(
+    ("focus_m", "radius_px"), [(1.0, 0.0), (0.5, 2.4), (2.0, 1.2)]
+)
 def test_a_thin_lens_spreads_a_point_over_its_circle_of_confusion(
     focus_m: float, radius_px: float
 ) -> None:
@@ -108,7 +117,9 @@ def test_a_thin_lens_spreads_a_point_over_its_circle_of_confusion(
     )
     world, picture = picture_of(scene)
     f = world.camera.matrix[0, 0]
-    assert f / 2 * aperture * abs(1 / focus_m - 1) == pytest.approx(radius_px, abs=0.05)
+    assert f / 2 * aperture * abs(1 / focus_m - 1) == pytest.approx(
+        radius_px, abs=0.05
+    )
     place, variance = edge(picture.radiance(0)[..., 0].mean(0))
     assert place == pytest.approx(39.5, abs=0.05)
     if radius_px == 0:
@@ -139,7 +150,9 @@ def test_exposure_is_gain_then_bias_then_clipping_then_the_curve() -> None:
     assert np.allclose(expose(scene, radiance, 0, 0.0), SRGB.encode(exact), atol=1e-6)
     other = little_scene(hidden={"transfer": "gamma:2.2"}, noise=NO_NOISE)
     assert np.allclose(
-        expose(other, radiance, 0, 0.0), np.minimum(radiance, 1) ** (1 / 2.2), atol=1e-6
+        expose(other, radiance, 0, 0.0),
+        np.minimum(radiance, 1) ** (1 / 2.2),
+        atol=1e-6,
     )
 
 

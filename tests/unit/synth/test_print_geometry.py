@@ -24,7 +24,9 @@ def sampled(
     (sighting,) = truth.markers.values()
     bitmap = cv2.aruco.getPredefinedDictionary(dictionary)
     cells = (
-        cv2.aruco.generateImageMarker(bitmap, number, bitmap.markerSize + 2, borderBits=1)
+        cv2.aruco.generateImageMarker(
+            bitmap, number, bitmap.markerSize + 2, borderBits=1
+        )
         > 127
     )
     n, size = len(cells), world.scene.marker[0].spec.size_m
@@ -45,9 +47,9 @@ def sampled(
     column = np.floor((on_sheet[:, 0] / size + 0.5) * n).astype(int)
     row = np.floor((0.5 - on_sheet[:, 1] / size) * n).astype(int)
     inside = (column >= 0) & (column < n) & (row >= 0) & (row < n)
-    albedo = (np.abs(on_sheet[:, :2]).max(1) <= size * (0.5 + margin_cells / n)).astype(
-        float
-    )
+    albedo = (
+        np.abs(on_sheet[:, :2]).max(1) <= size * (0.5 + margin_cells / n)
+    ).astype(float)
     albedo[inside] = cells[row[inside], column[inside]]
     shape = (camera.height, dense, camera.width, dense)
     return albedo.reshape(shape).mean((1, 3))
@@ -133,7 +135,8 @@ def test_visible_counts_what_stands_before_the_print_and_beyond_the_border() -> 
         path=from_above(), marker=[{"spec": "36h11:3:100mm", "position_m": [3, 0, 0]}]
     )
     back = little_scene(
-        path=from_above(), marker=[{"spec": "36h11:3:100mm", "rotate_deg": [180, 0, 0]}]
+        path=from_above(),
+        marker=[{"spec": "36h11:3:100mm", "rotate_deg": [180, 0, 0]}],
     )
     seen = []
     for scene in (free, half, gone, back):

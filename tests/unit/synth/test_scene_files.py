@@ -22,7 +22,10 @@ SAMPLES = sorted((Path(__file__).parents[3] / "sample_scenes").glob("*/scene.tom
 
 
 def test_every_sample_scene_reads_and_is_small_enough() -> None:
-    assert len(SAMPLES) >= 8 and sum(p.parent.name.startswith("09") for p in SAMPLES) >= 4
+    assert (
+        len(SAMPLES) >= 8
+        and sum(p.parent.name.startswith("09") for p in SAMPLES) >= 4
+    )
     for path in SAMPLES:
         scene = load_scene(path)
         assert scene.configured and scene.description and scene.frames <= 60
@@ -65,7 +68,9 @@ def test_a_missing_scene_says_so(tmp_path: Path) -> None:
 
 
 def test_a_missing_texture_names_its_file(tmp_path: Path) -> None:
-    scene = parse_scene('[[plane]]\ntexture = { kind = "image", file = "none.png" }\n')
+    scene = parse_scene(
+        '[[plane]]\ntexture = { kind = "image", file = "none.png" }\n'
+    )
     with pytest.raises(InputError, match=r"none\.png"):
         World(scene, tmp_path)
 
@@ -115,7 +120,8 @@ def test_paths_run_from_their_start_to_their_end_and_through_their_keys() -> Non
     ):
         assert np.allclose(room_from_object(box, t, 9.0, 0, "").translation_m, at)
     before, after = (
-        room_from_object(box, 1 + dt, 9.0, 0, "").translation_m for dt in (-1e-4, 1e-4)
+        room_from_object(box, 1 + dt, 9.0, 0, "").translation_m
+        for dt in (-1e-4, 1e-4)
     )
     now = room_from_object(box, 1, 9.0, 0, "").translation_m
     assert np.allclose((now - before) / 1e-4, (after - now) / 1e-4, atol=1e-2), (
@@ -124,11 +130,13 @@ def test_paths_run_from_their_start_to_their_end_and_through_their_keys() -> Non
 
 
 def test_tremor_has_the_stated_rms_and_is_smooth() -> None:
-    values = np.array([smooth_noise(4, "x", t, 4.0, 6) for t in np.arange(0, 60, 0.01)])
-    assert np.sqrt((values**2).mean()) == pytest.approx(1, abs=0.1)
-    assert np.abs(np.diff(values, axis=0)).max() < 0.01 * 2 * np.pi * 4 * 1.6 * np.sqrt(
-        12
+    values = np.array(
+        [smooth_noise(4, "x", t, 4.0, 6) for t in np.arange(0, 60, 0.01)]
     )
+    assert np.sqrt((values**2).mean()) == pytest.approx(1, abs=0.1)
+    assert np.abs(
+        np.diff(values, axis=0)
+    ).max() < 0.01 * 2 * np.pi * 4 * 1.6 * np.sqrt(12)
 
 
 @pytest.mark.parametrize(
@@ -152,7 +160,8 @@ def test_the_robot_is_read_back_by_trimesh(tmp_path: Path) -> None:
         "it stands on its base, y up"
     )
     assert any(
-        g.visual.material.baseColorTexture is not None for g in scene.geometry.values()
+        g.visual.material.baseColorTexture is not None
+        for g in scene.geometry.values()
     )
     with pytest.raises(ConfigError, match="no shape 'teapot'") as e:
         write_model("teapot", tmp_path / "t.glb")

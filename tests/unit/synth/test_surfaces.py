@@ -71,12 +71,16 @@ def test_textures_depend_on_their_seed_only_and_have_detail(kind: str) -> None:
 
 def test_picture_texture_is_decoded_and_its_absence_is_said(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "p.png"), np.full((2, 2, 3), (10, 100, 200), np.uint8))
-    got = texture_albedo(Texture(kind="image", file=Path("p.png")), (1, 1), 0, tmp_path)
+    got = texture_albedo(
+        Texture(kind="image", file=Path("p.png")), (1, 1), 0, tmp_path
+    )
     np.testing.assert_allclose(
         got[0, 0], SRGB.decode(np.array([200, 100, 10]) / 255), rtol=1e-5
     )
     with pytest.raises(InputError, match=r"none\.png"):
-        texture_albedo(Texture(kind="image", file=Path("none.png")), (1, 1), 0, tmp_path)
+        texture_albedo(
+            Texture(kind="image", file=Path("none.png")), (1, 1), 0, tmp_path
+        )
     with pytest.raises(InputError, match="names no file"):
         texture_albedo(Texture(kind="image"), (1, 1), 0, tmp_path)
 

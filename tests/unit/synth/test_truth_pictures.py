@@ -73,9 +73,9 @@ def test_flow_is_the_homography_between_two_views_of_a_plane() -> None:
         )
         y, x = np.nonzero(owner == number)
         assert len(x) > 100
-        moved = cv2.perspectiveTransform(np.stack([x, y], -1)[:, None].astype(float), h)[
-            :, 0
-        ]
+        moved = cv2.perspectiveTransform(
+            np.stack([x, y], -1)[:, None].astype(float), h
+        )[:, 0]
         error = flow[y, x] - (moved - np.stack([x, y], -1))
         near = np.hypot(*(np.stack([x, y], -1) - now[key].corners_px.mean(0)).T) < 40
         assert np.abs(error[near]).max() < 0.02
@@ -105,7 +105,9 @@ def test_depth_and_flow_files_keep_their_steps(tmp_path: Path) -> None:
     flow[3, 4], flow[5, 6] = np.nan, 600
     write_flow(tmp_path / "f.png", flow)
     raw = cv2.imread(str(tmp_path / "f.png"), cv2.IMREAD_UNCHANGED).astype(float)
-    again = np.where(raw[..., :1] == 0, np.nan, (raw[..., [2, 1]] - 2**15) * FLOW_UNIT_PX)
+    again = np.where(
+        raw[..., :1] == 0, np.nan, (raw[..., [2, 1]] - 2**15) * FLOW_UNIT_PX
+    )
     lost = np.isnan(again).any(-1)
     assert np.argwhere(lost).tolist() == [[3, 4], [5, 6]]
     assert np.abs((again - flow)[~lost]).max() <= 1 / 128 + 1e-9

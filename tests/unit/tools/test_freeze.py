@@ -74,7 +74,9 @@ def write_job(folder: Path, source: Path, **changes: Any) -> Path:
         "\n".join(json.dumps(changes.get("plan", PLAN)) for _ in TIMES)
     )
     write_clip(
-        folder / "out.mkv", changes.get("picture", render), changes.get("times", TIMES)
+        folder / "out.mkv",
+        changes.get("picture", render),
+        changes.get("times", TIMES),
     )
     return folder
 
@@ -130,9 +132,13 @@ def test_equal_states_and_what_may_vary(tmp_path: Path) -> None:
     old = write_job(tmp_path / "old", source)
     assert compare_jobs(old, write_job(tmp_path / "same", source)) == []
     report = json.loads((old / "report.json").read_text())
-    later = changed(report, [{**STAGE, "predicted_s": 1.02, "measured_s": 9.0}], "stages")
+    later = changed(
+        report, [{**STAGE, "predicted_s": 1.02, "measured_s": 9.0}], "stages"
+    )
     assert (
-        compare_jobs(old, write_job(tmp_path / "later", source, **{"report.json": later}))
+        compare_jobs(
+            old, write_job(tmp_path / "later", source, **{"report.json": later})
+        )
         == []
     )
     dearer = changed(report, [{**STAGE, "predicted_s": 1.05}], "stages")

@@ -104,7 +104,9 @@ def test_a_table_is_a_plane_of_its_own_and_clutter_is_none() -> None:
     depth[ball] -= (
         0.02
         * np.sqrt(
-            35**2 - (x - 90.0) ** 2 - (y - 150.0) ** 2, where=ball, out=np.zeros(x.shape)
+            35**2 - (x - 90.0) ** 2 - (y - 150.0) ** 2,
+            where=ball,
+            out=np.zeros(x.shape),
         )[ball]
     )
     cloud = cloud_of(depth, CAMERA)
@@ -154,7 +156,9 @@ def test_planes_of_several_maps_are_one_and_the_floor_is_to_stand_on() -> None:
     plane = best[0].real_plane()
     stands = plane.world_from_plane
     assert abs(stands.translation_m[2]) < 0.004 and stands.rotation[2, 2] > 0.9999
-    assert np.linalg.det(stands.rotation) == pytest.approx(1) and plane.residual_mm < 10
+    assert (
+        np.linalg.det(stands.rotation) == pytest.approx(1) and plane.residual_mm < 10
+    )
     seen = CAMERA.project(POSE.apply(stands.translation_m))
     assert 0 < seen[0] < CAMERA.width and 0 < seen[1] < CAMERA.height
     x0, y0, x1, y1 = plane.extent_m
@@ -176,7 +180,9 @@ def test_a_wall_alone_is_nothing_to_stand_on() -> None:
 def test_what_is_seen_closes_holes_and_keeps_the_gap_of_a_corridor() -> None:
     rng = np.random.default_rng(1)
     positions = rng.uniform([-1, -1], [1, 1], (9000, 2))
-    positions = positions[~((np.abs(positions[:, 0]) < 0.25) & (positions[:, 1] > -0.5))]
+    positions = positions[
+        ~((np.abs(positions[:, 0]) < 0.25) & (positions[:, 1] > -0.5))
+    ]
     seen = seen_of(positions, np.full(len(positions), 0.025))
     assert seen.area_m2 == pytest.approx(4 - 0.5 * 1.5, rel=0.05)
     assert abs(seen.middle_m[0]) > 0.25 or seen.middle_m[1] < -0.5

@@ -16,7 +16,9 @@ def seen(distance_m: float, s: Scene) -> tuple[FrameFacts, np.ndarray]:
     """A frame that shows the marker, and the true depth of its plane (h, w), metres."""
     pose = look_at(distance_m)
     corners = s.camera.project(pose.apply(s.markers[0].corners_m))
-    f = facts(s, pose).with_(markers=(MarkerSighting(s.markers[0].key, corners, 0.1),))
+    f = facts(s, pose).with_(
+        markers=(MarkerSighting(s.markers[0].key, corners, 0.1),)
+    )
     grid = np.stack(
         np.meshgrid(np.arange(s.camera.width), np.arange(s.camera.height)), -1
     ).astype(float)
@@ -52,7 +54,9 @@ def ratios(
 def test_one_factor_is_found(half: bool) -> None:
     found = depth_scale(ratios([0.2] * 6, half=half))
     assert found.known and found.scale == pytest.approx(0.2, rel=0.005)
-    assert found.residual == pytest.approx(0.02 * 0.6745, rel=0.3) and found.frames == 6
+    assert (
+        found.residual == pytest.approx(0.02 * 0.6745, rel=0.3) and found.frames == 6
+    )
 
 
 def test_frames_with_a_hand_over_the_marker_do_not_move_it() -> None:
@@ -67,8 +71,12 @@ def test_refused_where_it_cannot_be_told() -> None:
         "0 frames have depth on a marker's print"
         in depth_scale(ratios([1.0] * 4, holes=1.0)).reason
     )
-    other = depth_scale(ratios([1.0, 1.6, 0.7, 2.2, 1.2]))  # another unit in every frame
-    assert not other.known and "not proportional" in other.reason and other.scale == 1.0
+    other = depth_scale(
+        ratios([1.0, 1.6, 0.7, 2.2, 1.2])
+    )  # another unit in every frame
+    assert (
+        not other.known and "not proportional" in other.reason and other.scale == 1.0
+    )
     s = scene()
     f, z = seen(0.4, s)
     hidden = f.with_(status="interpolated")

@@ -61,7 +61,8 @@ def walls(half_m: float, top_m: float = 1.8, tint: float = 1.0) -> Radiance:
         )
         plain = (side == 2)[..., None]
         return np.asarray(
-            colours[number] * np.where(plain, 1, (1 + 0.6 * stripes[..., None]) * tint)
+            colours[number]
+            * np.where(plain, 1, (1 + 0.6 * stripes[..., None]) * tint)
         )
 
     return radiance
@@ -70,9 +71,9 @@ def walls(half_m: float, top_m: float = 1.8, tint: float = 1.0) -> Radiance:
 def sky(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Far away over an endless desk: clouds."""
     d = normalise(directions)
-    clouds = 0.5 + 0.5 * np.sin(4 * d[..., :1] + 2) * np.sin(5 * d[..., 1:2]) * np.cos(
-        3 * d[..., 2:]
-    )
+    clouds = 0.5 + 0.5 * np.sin(4 * d[..., :1] + 2) * np.sin(
+        5 * d[..., 1:2]
+    ) * np.cos(3 * d[..., 2:])
     return np.where(d[..., 2:] < 0, DESK, 0.15 + clouds * np.array([0.55, 0.6, 0.75]))
 
 
@@ -108,7 +109,9 @@ class Clip:
     def picture(self, k: int, camera: Camera = CAMERA) -> np.ndarray:
         y, x = np.mgrid[0 : camera.height, 0 : camera.width]
         pose = self.pose(k)
-        directions = camera.directions(np.stack([x, y], -1).astype(float)) @ pose.rotation
+        directions = (
+            camera.directions(np.stack([x, y], -1).astype(float)) @ pose.rotation
+        )
         return np.asarray(
             self.shown(k)(
                 np.broadcast_to(pose.inverse().translation_m, directions.shape),
@@ -120,7 +123,9 @@ class Clip:
     def light(self, k: int) -> Light:
         d = face_directions(32)
         return Light(
-            triple(irradiance(self.shown(k)(np.broadcast_to(UP * 1e-3, d.shape), d), UP)),
+            triple(
+                irradiance(self.shown(k)(np.broadcast_to(UP * 1e-3, d.shape), d), UP)
+            ),
             (),
         )
 

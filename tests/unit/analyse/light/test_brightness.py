@@ -36,7 +36,9 @@ def followed(
     frame, print_ = (a.ravel() for a in np.mgrid[:t, :prints])
     level = np.repeat(each.ravel()[:, None], 3, 1)
     level = level + (0 if colour is None else np.repeat(colour, prints, 0))
-    level = level + noise * RNG(1).normal(size=(t * prints, 1)) + 0.05 * print_[:, None]
+    level = (
+        level + noise * RNG(1).normal(size=(t * prints, 1)) + 0.05 * print_[:, None]
+    )
     level = level + 0.003 * RNG(2).normal(size=level.shape)
     seen = np.full(t, np.nan) if change is None else change
     ones = np.ones(t * prints)
@@ -68,7 +70,9 @@ def test_a_print_that_turns_under_unknown_lights_is_followed() -> None:
     slow = 0.05 * np.sin(np.arange(90) / 4)
     still = np.zeros(90)  # the background shows nothing: the exposure rests
     off = [
-        np.abs(followed(slow, change=still, noise=0.002, turn=turn).mean(1) - slow).max()
+        np.abs(
+            followed(slow, change=still, noise=0.002, turn=turn).mean(1) - slow
+        ).max()
         for turn in (0.0, 0.03)
     ]
     assert off[1] < 0.007 < off[0] / 2
@@ -150,7 +154,9 @@ def test_the_background_says_how_the_exposure_changed() -> None:
     first = np.rint(ground[10:190, 20:340]).astype(np.uint8)
     shifted = ground[13:193, 25:345]
     for stops in (0.0, 0.2, -0.3):
-        later = np.clip(np.rint(shifted * 2 ** (stops / 2.2)), 0, 255).astype(np.uint8)
+        later = np.clip(np.rint(shifted * 2 ** (stops / 2.2)), 0, 255).astype(
+            np.uint8
+        )
         found = background_change(small_luma(first), small_luma(later))
         assert found == pytest.approx(stops * np.log(2), abs=0.01)
 
@@ -170,7 +176,9 @@ def at(level: np.ndarray, noise: float) -> list[int]:
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.1, 0.8), (0.5, 0.6)])
-def test_light_switched_off_and_on_steps_at_its_frames(low: float, high: float) -> None:
+def test_light_switched_off_and_on_steps_at_its_frames(
+    low: float, high: float
+) -> None:
     assert at(np.log(np.repeat([high, low, high], [20, 25, 17])), 0.004) == [20, 45]
 
 

@@ -64,9 +64,9 @@ def test_one_lamp_is_found_with_its_colour_and_the_ambient_light() -> None:
     found = fit(n, seen(n, (d, 1.0)), None, None, EXACT)
     assert found.verdict == MEASURED and len(found.lights) == 1
     assert np.degrees(angle_between(found.lights[0].direction, d)) < 0.2
-    assert found.lights[0].rgb[0] == pytest.approx(LAMP, rel=0.02) and found.ambient_rgb[
-        0
-    ] == pytest.approx(AMBIENT, rel=0.02)
+    assert found.lights[0].rgb[0] == pytest.approx(
+        LAMP, rel=0.02
+    ) and found.ambient_rgb[0] == pytest.approx(AMBIENT, rel=0.02)
     assert found.light().radiance(n) == pytest.approx(seen(n, (d, 1.0)), rel=0.02)
 
 
@@ -95,7 +95,9 @@ def test_two_equal_lamps_are_never_their_middle(apart_deg: float) -> None:
     assert found.verdict in (MEASURED, REFUSED)
     for li in found.lights:
         if li.confidence_deg < 90:
-            off = min(np.degrees(angle_between(li.direction, d)) for d in (first, second))
+            off = min(
+                np.degrees(angle_between(li.direction, d)) for d in (first, second)
+            )
             assert off < max(2 * li.confidence_deg, 3)
 
 
@@ -105,7 +107,9 @@ def test_two_equal_lamps_are_never_their_middle(apart_deg: float) -> None:
         (np.array([[0.0, 0, 1]] * 50), "one normal"),
         (
             normalise(
-                np.array([[1e-6 * np.cos(k), 1e-6 * np.sin(k), 1.0] for k in range(50)])
+                np.array(
+                    [[1e-6 * np.cos(k), 1e-6 * np.sin(k), 1.0] for k in range(50)]
+                )
             ),
             "one normal",
         ),
@@ -230,7 +234,9 @@ def test_a_lamp_that_is_switched_keeps_its_direction_and_the_ambient_light() -> 
     assert not spans[1].fit.lights and spans[1].fit.verdict == MEASURED
     for s in spans:
         assert s.fit.ambient_rgb[0] == pytest.approx(AMBIENT, rel=0.02)
-        assert all(np.degrees(angle_between(li.direction, d)) < 1 for li in s.fit.lights)
+        assert all(
+            np.degrees(angle_between(li.direction, d)) < 1 for li in s.fit.lights
+        )
 
 
 def test_exposure_that_jumps_is_not_taken_for_a_lamp() -> None:
@@ -248,7 +254,9 @@ def test_steps_that_do_not_go_down_and_up_in_turn_are_no_switch() -> None:
     t, starts = np.arange(100) / 25, [0, 25, 50]
     down = np.where(t < 1, 1.0, np.where(t < 2, 0.6, 0.3))[:, None] * np.ones(3)
     assert switches(t, down, starts) is None and switches(t, down, [0]) is None
-    assert switches(t, np.where(t[:, None] < 2, down, 1.0 - down), starts).tolist() == [
+    assert switches(
+        t, np.where(t[:, None] < 2, down, 1.0 - down), starts
+    ).tolist() == [
         1,
         0,
         1,
@@ -266,7 +274,9 @@ def test_a_lamp_that_swings_before_one_marker_is_refused() -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_light_that_fades_before_one_marker_is_not_claimed_elsewhere(seed: int) -> None:
+def test_a_light_that_fades_before_one_marker_is_not_claimed_elsewhere(
+    seed: int,
+) -> None:
     """Brightness and direction trade places where a frame shows one normal: nothing that is
     off may be claimed.
     """
@@ -324,10 +334,15 @@ def test_a_print_turned_by_hand_before_one_lamp_is_claimed_with_the_lamp_in_the_
             if f.verdict == LIKELY:
                 assert "would look the same" in f.reason or "may shift it" in f.reason
                 assert 5 < f.lights[0].angular_size_deg <= MOST_SIZE_DEG
-    assert len(claimed) >= 7 and LIKELY in claimed and np.median(off) < 1, (claimed, off)
+    assert len(claimed) >= 7 and LIKELY in claimed and np.median(off) < 1, (
+        claimed,
+        off,
+    )
 
 
-def test_a_pair_that_looks_the_same_makes_a_likely_light_whose_cone_holds_both() -> None:
+def test_a_pair_that_looks_the_same_makes_a_likely_light_whose_cone_holds_both() -> (
+    None
+):
     """Two equal lamps that every normal faces are one lamp's light exactly."""
     n, lamps = cap(40), [at(-60, 65), at(60, 65)]
     E = seen(n, (lamps[0], 0.5), (lamps[1], 0.5)) * (
@@ -343,7 +358,9 @@ def test_a_pair_that_looks_the_same_makes_a_likely_light_whose_cone_holds_both()
     assert np.degrees(angle_between(light.direction, lamps[0] + lamps[1])) < 2
     for lamp in lamps:
         assert (
-            np.degrees(angle_between(light.direction, lamp)) < light.confidence_deg <= 60
+            np.degrees(angle_between(light.direction, lamp))
+            < light.confidence_deg
+            <= 60
         )
     assert light.angular_size_deg == MOST_SIZE_DEG
     strict = fit(n, E, None, None, Params(likely=False))
@@ -354,24 +371,32 @@ def test_a_pair_that_looks_the_same_makes_a_likely_light_whose_cone_holds_both()
     )
 
 
-def test_the_cone_holds_the_lamp_beside_a_sky_that_is_brighter_from_one_side() -> None:
+def test_the_cone_holds_the_lamp_beside_a_sky_that_is_brighter_from_one_side() -> (
+    None
+):
     for share in (0.3, 0.6, 1.0):
         n, lamp, sky = cap(35), at(30, 50), at(0, 60)
         E = seen(n, (lamp, 0.5)) + share * AMBIENT * ((n @ sky + 1) ** 2 / 4)[:, None]
-        found = fit(n, E * (1 + 0.002 * np.random.default_rng(1).normal(size=(160, 1))))
+        found = fit(
+            n, E * (1 + 0.002 * np.random.default_rng(1).normal(size=(160, 1)))
+        )
         vector = 0.5 * LAMP.sum() * lamp + share * AMBIENT.sum() * sky
         assert found.verdict == LIKELY
         (first, *_) = found.lights
         assert np.degrees(angle_between(first.direction, vector)) < 10
         assert (
-            np.degrees(angle_between(first.direction, lamp)) < first.confidence_deg <= 60
+            np.degrees(angle_between(first.direction, lamp))
+            < first.confidence_deg
+            <= 60
         )
 
 
 def test_a_cube_of_markers_with_one_face_in_the_shade_is_enough_for_a_likely_light() -> (
     None
 ):
-    faces = np.repeat(np.array([[0, 0, 1.0], [1, 0, 0], [0, -1, 0], [-1, 0, 0]]), 20, 0)
+    faces = np.repeat(
+        np.array([[0, 0, 1.0], [1, 0, 0], [0, -1, 0], [-1, 0, 0]]), 20, 0
+    )
     for azimuth_deg, elevation_deg in ((-140, 35), (-100, 50), (-60, 50)):
         d = at(azimuth_deg, elevation_deg)
         found = fit(
@@ -395,7 +420,8 @@ def test_the_cone_holds_what_slow_errors_do_where_normals_hardly_separate_ambien
         rng, t = np.random.default_rng(seed), np.arange(96) / 24
         tilt, turn = np.radians(35 + 1.5 * np.sin(2 * t)), 1.2 * t + rng.uniform(0, 6)
         n = np.stack(
-            [np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)], -1
+            [np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)],
+            -1,
         )
         d = at(rng.uniform(0, 360), rng.uniform(62, 75))
         E = 0.5 * (0.4 + np.clip(n @ d, 0, None)) * (1 + 0.003 * np.sin(2 * t))
@@ -436,7 +462,9 @@ def test_both_halves_of_a_print_turned_while_a_lamp_is_switched_are_claimed(
     )
     for s in spans:
         for li in s.fit.lights:
-            assert np.degrees(angle_between(li.direction, d)) < min(3, li.confidence_deg)
+            assert np.degrees(angle_between(li.direction, d)) < min(
+                3, li.confidence_deg
+            )
 
 
 def test_a_lamp_that_is_moved_has_a_direction_of_its_own_on_either_side() -> None:

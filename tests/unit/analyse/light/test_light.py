@@ -59,7 +59,9 @@ class Clip:
         for k in range(self.frames):
             a = np.pi * k / self.frames
             turn = rotation_from_euler_deg(
-                180 + self.tilt_deg * np.sin(2 * a + 0.4), self.tilt_deg * np.cos(a), 0
+                180 + self.tilt_deg * np.sin(2 * a + 0.4),
+                self.tilt_deg * np.cos(a),
+                0,
             )
             pose = Pose(turn, np.array([0.0, 0, 0.5]))
             status = self.status.get(k, MEASURED)
@@ -77,7 +79,9 @@ class Clip:
             if status != MEASURED:
                 continue
             n = turn[:, 2] if self.static == "camera" else np.array([0.0, 0, 1])
-            lamp = self.lamp if self.static == "camera" else np.array([0.3, 0.4, 0.86])
+            lamp = (
+                self.lamp if self.static == "camera" else np.array([0.3, 0.4, 0.86])
+            )
             light = (self.gain[k] if self.gain else 1.0) * (
                 AMBIENT + DIRECT * max(float(n @ lamp), 0.0)
             )
@@ -97,11 +101,15 @@ class Clip:
                     EnvironmentSample(k, cube, np.full(3, 0.3), np.full(3, np.inf))
                 )
         return (
-            Analysis(tuple(facts), {KEY: Pose.identity()}, self.static, anchor=MARKER),
+            Analysis(
+                tuple(facts), {KEY: Pose.identity()}, self.static, anchor=MARKER
+            ),
             meter,
         )
 
-    def exact(self, k: int, facts: FrameFacts, normal_world: np.ndarray) -> np.ndarray:
+    def exact(
+        self, k: int, facts: FrameFacts, normal_world: np.ndarray
+    ) -> np.ndarray:
         assert facts.camera_from_world is not None
         n = facts.camera_from_world.rotation @ normal_world
         return (self.gain[k] if self.gain else 1.0) * (
@@ -141,7 +149,8 @@ def test_a_marker_turned_by_hand_tells_the_direction_in_every_frame() -> None:
         assert f.light.radiance(UP) == pytest.approx(clip.exact(k, f, UP), rel=0.02)
         assert np.abs(np.array(f.bias_rgb) - clip.bias).max() < 5e-4
     assert (
-        np.degrees(angle_between(np.array(report["lights"][0]["direction"]), LAMP)) < 1.5
+        np.degrees(angle_between(np.array(report["lights"][0]["direction"]), LAMP))
+        < 1.5
     )
     json.dumps(report, allow_nan=False)
 
@@ -264,7 +273,9 @@ def test_a_shot_that_lies_in_shadow_whole_has_a_light() -> None:
     facts = [f.with_(shot=int(f.index >= 40)) for f in analysis.facts]
     for k in range(40, 60):
         cells = np.repeat(np.repeat([[0.4, 1.0]], 4, 1), 8, 0)
-        meter.readings[k] = Reading(k, KEY, replace(meter.readings[k].cells, cells=cells))
+        meter.readings[k] = Reading(
+            k, KEY, replace(meter.readings[k].cells, cells=cells)
+        )
     done = with_light(
         replace(analysis, facts=tuple(facts)), meter.readings, (), LightParams()
     )
@@ -396,9 +407,14 @@ def test_the_meter_reads_every_frame_and_looks_around_now_and_then() -> None:
             return self.linear(self.rect)
 
     seen = [
-        Detection(KEY, np.array([[8.0, 8], [40, 9], [39, 41], [7, 40]]), 0.1, 0.6, False)
+        Detection(
+            KEY, np.array([[8.0, 8], [40, 9], [39, 41], [7, 40]]), 0.1, 0.6, False
+        )
     ]
-    whole, taker = LightReader(AnalysisJob((MARKER,), clip_camera())), SnapshotTaker(6)
+    whole, taker = (
+        LightReader(AnalysisJob((MARKER,), clip_camera())),
+        SnapshotTaker(6),
+    )
     for k in range(6):
         frame = AnalysisFrame(k, k * 0.3, np.zeros((48, 64), np.uint8), Grey())
         whole.step(frame, [Sighting(k, ANY, False, 0.0, s) for s in seen])

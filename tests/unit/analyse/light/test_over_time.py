@@ -33,7 +33,9 @@ TILTS = normalise(np.array([[0.0, 0, 1], [0.7, 0, 0.7], [-0.4, 0.6, 0.7]]))
 def turned(frames: int = FRAMES) -> np.ndarray:
     """(frames, 3, 3) rotations of a board that is turned by hand."""
     a = 2 * np.pi * np.arange(frames) / frames
-    z = normalise(np.stack([0.5 * np.sin(a), 0.5 * np.cos(1.7 * a), np.ones(frames)], -1))
+    z = normalise(
+        np.stack([0.5 * np.sin(a), 0.5 * np.cos(1.7 * a), np.ones(frames)], -1)
+    )
     x = normalise(np.cross([0.0, 1, 0], z))
     return np.stack([x, np.cross(z, x), z], -1)
 
@@ -59,7 +61,9 @@ def test_the_gain_of_every_frame_is_found_where_frames_show_several_normals() ->
     noisy = gains(*board(gain, noise=0.005))
     assert (
         noisy is not None
-        and np.abs(noisy / np.median(noisy) - np.repeat(gain, 3) / np.median(gain)).max()
+        and np.abs(
+            noisy / np.median(noisy) - np.repeat(gain, 3) / np.median(gain)
+        ).max()
         < 0.06
     )
 
@@ -108,7 +112,9 @@ def test_a_clip_with_gaps_of_years_takes_no_more_memory() -> None:
     times, normals, irradiance = board(np.ones(FRAMES))
     late = np.where(times > TIMES[20], times + 1e9, times)
     assert 0 <= drift(late, normals, irradiance) < 0.02
-    assert len(window_starts(late, [5.0, 1e8], 0.2)) == len(window_starts(times, [], 0.2))
+    assert len(window_starts(late, [5.0, 1e8], 0.2)) == len(
+        window_starts(times, [], 0.2)
+    )
 
 
 def test_windows_are_even_between_breaks_and_never_empty() -> None:
@@ -123,7 +129,9 @@ def test_windows_are_even_between_breaks_and_never_empty() -> None:
 
 def test_one_normal_seen_once_says_nothing_of_drift() -> None:
     n = normalise(np.random.default_rng(0).normal((0, 0, 1.5), size=(30, 3)))
-    assert drift(np.arange(30) / 5, n, np.random.default_rng(1).random((30, 3))) < 0.25
+    assert (
+        drift(np.arange(30) / 5, n, np.random.default_rng(1).random((30, 3))) < 0.25
+    )
 
 
 def told(
@@ -182,10 +190,14 @@ def test_halves_of_a_light_that_wanders_before_one_normal_have_to_agree(
         and found.lights[0].confidence_deg == pytest.approx(8.0)
         and "4 degrees" in found.reason
     )
-    assert told(4.0, TILTS[:1], monkeypatch, Params(likely=False))[1].verdict == REFUSED
+    assert (
+        told(4.0, TILTS[:1], monkeypatch, Params(likely=False))[1].verdict == REFUSED
+    )
     _, found = told(20.0, TILTS[:1], monkeypatch)
     assert (
-        found.verdict == REFUSED and not found.lights and "no two parts" in found.reason
+        found.verdict == REFUSED
+        and not found.lights
+        and "no two parts" in found.reason
     )
 
 
@@ -214,14 +226,20 @@ def rocked(times: np.ndarray, stops: float = 0.06) -> tuple[np.ndarray, np.ndarr
 
 
 @pytest.mark.parametrize("late_s", [60.0, 3600.0, 86400.0])
-def test_frames_long_after_the_clip_take_nothing_from_its_light(late_s: float) -> None:
+def test_frames_long_after_the_clip_take_nothing_from_its_light(
+    late_s: float,
+) -> None:
     times = np.append(np.arange(0, 20, 1 / 6), late_s + np.arange(3) / 6)
     n, light = rocked(times)
     variance = np.full(light.shape, 1e-6)
-    account, spans = fit_over_time(times, n, light, variance, (), Params(most_lights=1))
+    account, spans = fit_over_time(
+        times, n, light, variance, (), Params(most_lights=1)
+    )
     assert account == SHARED and len(spans) < 15
     first = spans[0].fit.lights[0]
-    assert np.degrees(angle_between(first.direction, LAMP)) < first.confidence_deg < 10
+    assert (
+        np.degrees(angle_between(first.direction, LAMP)) < first.confidence_deg < 10
+    )
 
 
 def test_two_frames_of_a_board_claim_no_light() -> None:
@@ -242,10 +260,14 @@ def test_a_span_that_is_refused_takes_the_light_around_it_only_where_that_agrees
 ):
     def span(start_s: float, direction: np.ndarray | None) -> Span:
         lights = (
-            () if direction is None else (FittedLight(direction, np.ones((1, 3)), 1.0),)
+            ()
+            if direction is None
+            else (FittedLight(direction, np.ones((1, 3)), 1.0),)
         )
         verdict, rgb = (REFUSED if direction is None else MEASURED), np.ones((1, 3))
-        return Span(start_s, start_s + 1, LightFit(verdict, "why", rgb, rgb, lights), 0)
+        return Span(
+            start_s, start_s + 1, LightFit(verdict, "why", rgb, rgb, lights), 0
+        )
 
     alike, other = normalise(LAMP + np.array([0.05, 0, 0])), np.array([-0.6, 0, 0.8])
     lamps = [None, LAMP, None, None, alike, None, other, None]
@@ -260,4 +282,6 @@ def test_a_span_that_is_refused_takes_the_light_around_it_only_where_that_agrees
     assert [t["verdict"] for t in told] == ["refused", "refused", "measured"] and [
         len(t["lights"]) for t in told
     ] == [0, 0, 1]
-    assert "before and after" in told[0]["reason"] and "soft light" in told[1]["reason"]
+    assert (
+        "before and after" in told[0]["reason"] and "soft light" in told[1]["reason"]
+    )

@@ -8,7 +8,14 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.light.patches import WHITE, Meter, Patches, read_print, stack, standing
+from arfx.analyse.light.patches import (
+    WHITE,
+    Meter,
+    Patches,
+    read_print,
+    stack,
+    standing,
+)
 from arfx.analyse.light.shadow import edge_clue, quarters
 from arfx.analyse.markers.detect import MarkerDetector
 from arfx.core.colour import SRGB
@@ -27,7 +34,9 @@ def measure(
     blur_px: float = 0.7,
 ) -> Patches:
     meter = Meter(cells.astype(np.int8))
-    return read_print(linear, np.asarray(quad, float) - origin, meter, inverted, blur_px)
+    return read_print(
+        linear, np.asarray(quad, float) - origin, meter, inverted, blur_px
+    )
 
 
 def rendered(
@@ -45,7 +54,8 @@ def rendered(
         (np.arange(w * ss) + 0.5) / ss - 0.5, (np.arange(h * ss) + 0.5) / ss - 0.5
     )
     unit = cv2.getPerspectiveTransform(
-        quad.astype(np.float32), np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+        quad.astype(np.float32),
+        np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32),
     )
     p = np.stack([x, y, np.ones_like(x)], -1) @ unit.T
     u, v = p[..., 0] / p[..., 2], p[..., 1] / p[..., 2]
@@ -92,7 +102,9 @@ def test_cells_are_where_the_detector_says(family: str, number: int) -> None:
 def test_cells_have_a_black_border_and_cannot_be_changed() -> None:
     c = marker_cells("36h11", 3)
     assert c.shape == (8, 8) and c.dtype == bool
-    assert not (c[0].any() or c[-1].any() or c[:, 0].any() or c[:, -1].any()) and c.any()
+    assert (
+        not (c[0].any() or c[-1].any() or c[:, 0].any() or c[:, -1].any()) and c.any()
+    )
     with pytest.raises(ValueError, match="read-only"):
         c[0, 0] = True
 
@@ -131,7 +143,9 @@ def test_error_stays_within_the_stated_deviation_with_noise_and_8_bits(
     side_px: float, blur: float
 ) -> None:
     quad = np.array([[0, 0], [1, 0.04], [0.97, 1], [-0.05, 0.93]]) * side_px + 30.37
-    image = rendered(quad=quad, size=(int(side_px) + 60, int(side_px) + 70), blur=blur)
+    image = rendered(
+        quad=quad, size=(int(side_px) + 60, int(side_px) + 70), blur=blur
+    )
     z, rng = [], np.random.default_rng(0)
     for _ in range(25):
         coded = SRGB.encode(image) * 255 + rng.normal(0, 2, image.shape)
@@ -141,7 +155,9 @@ def test_error_stays_within_the_stated_deviation_with_noise_and_8_bits(
         # noise in coded values is skewed in linear light: 1.1 sigma^2 L^-.2 / 255^2 and
         # less, below 1e-4
         z.append(
-            ((got.mean - expected())[seen] / np.sqrt(got.variance[seen] + 1e-8)).ravel()
+            (
+                (got.mean - expected())[seen] / np.sqrt(got.variance[seen] + 1e-8)
+            ).ravel()
         )
     spread = float(np.sqrt(np.mean(np.concatenate(z) ** 2)))
     assert spread < 1.9, spread
@@ -237,7 +253,8 @@ def test_blur_leads_away_from_the_edges() -> None:
     near = measure(image, (0, 0), QUAD, marker_cells("36h11", 3), blur_px=0.1)
     far = measure(image, (0, 0), QUAD, marker_cells("36h11", 3), blur_px=3.5)
     assert (
-        np.abs(far.mean - expected()).max() < 0.5 * np.abs(near.mean - expected()).max()
+        np.abs(far.mean - expected()).max()
+        < 0.5 * np.abs(near.mean - expected()).max()
     )
     assert (np.abs(far.mean - expected()) < 3 * np.sqrt(far.variance)).all()
 

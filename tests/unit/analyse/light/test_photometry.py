@@ -67,7 +67,9 @@ def test_bias_without_noise_is_exact_in_both_formulas(scale: float) -> None:
         assert np.abs(p.bias * 255 / scale - 12).max() < 1e-9
         assert np.abs(p.y * 255 / scale - y).max() < 1e-8
     one = solve(grey[:1], None, RHO)  # a single frame is enough
-    assert one.verdict == MEASURED and np.abs(one.bias * 255 / scale - 12).max() < 1e-9
+    assert (
+        one.verdict == MEASURED and np.abs(one.bias * 255 / scale - 12).max() < 1e-9
+    )
     printed = gain_and_bias(grey, RHO, printed_bias=True)  # 1/b' in place of b'/g'
     assert np.abs(printed.bias * 255 / scale - 12).min() > 1
 
@@ -152,7 +154,9 @@ def test_a_curve_of_another_exponent_is_in_the_interval() -> None:
             RHO,
             tolerances=Tolerances(transfer=0, steps=0, blur=0),
         )
-        assert not ((narrow.bias_95[:, 0] < 0.02) & (narrow.bias_95[:, 1] > 0.02)).any()
+        assert not (
+            (narrow.bias_95[:, 0] < 0.02) & (narrow.bias_95[:, 1] > 0.02)
+        ).any()
 
 
 def test_a_codecs_steps_are_in_the_interval() -> None:
@@ -200,7 +204,9 @@ def test_degenerate_systems_are_reported_and_nothing_non_finite_leaves(
     grey, y = clip(noise=0.001)
     broken = DEGENERATES[case](grey)
     variance = (
-        np.full(broken.shape, 1e-6 if case != "no contrast" else 1e-2) if known else None
+        np.full(broken.shape, 1e-6 if case != "no contrast" else 1e-2)
+        if known
+        else None
     )
     p = (
         solve(broken, variance, RHO)
@@ -254,7 +260,9 @@ def test_a_nan_in_a_patch_costs_that_patch_alone() -> None:
     p = solve(broken, np.full(grey.shape, 0.0005**2), RHO)
     assert p.verdict == MEASURED and finite(p) and p.ignored == 10
     assert (
-        not p.seen[7] and (p.var_y_own[7] == UNKNOWN_VARIANCE).all() and not p.y[7].any()
+        not p.seen[7]
+        and (p.var_y_own[7] == UNKNOWN_VARIANCE).all()
+        and not p.y[7].any()
     )
     assert np.abs(p.bias - 0.02).max() < 1e-3 and np.abs(p.y - y)[p.seen].max() < 5e-3
 
@@ -281,11 +289,14 @@ def test_highlights_on_some_patches_do_little() -> None:
     hit = (rng.uniform(size=grey.shape[:2]) < 0.12)[..., None]
     p = solve(grey + 0.3 * hit, np.full(grey.shape, 1e-6), RHO)
     plain = [
-        np.polyfit(np.repeat(y[:, c], 4), (grey + 0.3 * hit)[:, ~WHITE, c].ravel(), 1)[1]
+        np.polyfit(
+            np.repeat(y[:, c], 4), (grey + 0.3 * hit)[:, ~WHITE, c].ravel(), 1
+        )[1]
         for c in range(3)
     ]
     assert (
-        np.abs(p.bias - 0.02).max() < 4e-3 and np.abs(np.array(plain) - 0.02).max() > 0.02
+        np.abs(p.bias - 0.02).max() < 4e-3
+        and np.abs(np.array(plain) - 0.02).max() > 0.02
     )
     assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all()
 
@@ -303,7 +314,9 @@ def test_a_highlight_over_a_glossy_print_is_no_light() -> None:
     calm = 0.4 + 0.1 * y
     mixed = inks[..., None] * calm[:, None] + 0.02
     off = [
-        np.abs(solve(mixed, np.full(grey.shape, 1e-6), RHO, print_=of).y / calm - 1).max()
+        np.abs(
+            solve(mixed, np.full(grey.shape, 1e-6), RHO, print_=of).y / calm - 1
+        ).max()
         for of in (two.astype(int), None)
     ]
     assert off[0] < 0.01 < off[1], "another print's ink is no highlight"
@@ -358,7 +371,8 @@ def test_time_is_linear_in_frames(formula: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("overexposed", "kept", "of_ink"), [(0, 30, False), (3, 27, False), (12, 30, True)]
+    ("overexposed", "kept", "of_ink"),
+    [(0, 30, False), (3, 27, False), (12, 30, True)],
 )
 def test_overexposed_readings_are_left_out_or_all_are_read_from_the_ink(
     overexposed: int, kept: int, of_ink: bool

@@ -12,7 +12,11 @@ import pytest
 
 from arfx.analyse.light import seen
 from arfx.analyse.light.seen import Snapshot, given_everywhere, with_seen
-from arfx.analyse.light.surroundings import environment_sample, turned, with_environment
+from arfx.analyse.light.surroundings import (
+    environment_sample,
+    turned,
+    with_environment,
+)
 from arfx.core.camera import Camera
 from arfx.core.cube import bordered, face_directions, look_up, resampled
 from arfx.core.facts import FrameFacts
@@ -23,7 +27,14 @@ from arfx.core.scene import Scene
 from arfx.errors import RenderError
 from arfx.stages.gi.health import seam_ratio
 from arfx.stages.light.surroundings import frame_surroundings, seen_map
-from tests.unit.analyse.light.seen_rooms import CAMERA, UP, Clip, irradiance, sky, walls
+from tests.unit.analyse.light.seen_rooms import (
+    CAMERA,
+    UP,
+    Clip,
+    irradiance,
+    sky,
+    walls,
+)
 from tests.unit.stages.gi_scenes import (
     MIRROR,
     ball,
@@ -126,7 +137,9 @@ def test_a_mirror_ball_shows_the_room(name: str) -> None:
     }
     error = []
     for seen_environment in (None, f.seen_environment):
-        made = run_gi(s, "standard", f.pose, seen_environment=seen_environment, **given)
+        made = run_gi(
+            s, "standard", f.pose, seen_environment=seen_environment, **given
+        )
         truth, core = traced(clip, facts(s, f.pose).with_(index=18), s)
         error.append(np.abs(made[Layer.VIRTUAL][core] - truth).mean())
     assert error[1] < 0.5 * error[0], error
@@ -243,7 +256,9 @@ def test_before_a_still_camera_the_map_rests_in_the_cameras_axes() -> None:
     turn = rotation_from_euler_deg(0, 0, 70)
     moved = [
         (
-            f.with_(camera_from_world=replace(f.pose, rotation=f.pose.rotation @ turn))
+            f.with_(
+                camera_from_world=replace(f.pose, rotation=f.pose.rotation @ turn)
+            )
             if f.index > 20
             else f
         )
@@ -267,7 +282,9 @@ def test_a_given_panorama_is_known_everywhere() -> None:
     found, maps = given_everywhere(ROUND.facts, picture, np.eye(3))
     (rgba,) = maps.values()
     assert rgba.shape == (6, 64, 64, 4) and (rgba[..., 3] == 1).all()
-    side, other = look_up(rgba.astype(float), np.array([[0, 1.0, 0], [0, -1.0, 0]]))[:, 0]
+    side, other = look_up(rgba.astype(float), np.array([[0, 1.0, 0], [0, -1.0, 0]]))[
+        :, 0
+    ]
     assert side / other == pytest.approx(4, rel=0.1)
     assert {f.seen_environment for f in found} == {found[0].seen_environment}
     given = with_environment(found, [], False, picture, np.eye(3))[0]
@@ -279,7 +296,9 @@ def test_a_given_panorama_is_known_everywhere() -> None:
 
 
 def test_frames_without_a_pose_have_none_and_a_missing_map_is_said() -> None:
-    lost = [f if f.index % 2 else f.with_(camera_from_world=None) for f in ROUND.facts]
+    lost = [
+        f if f.index % 2 else f.with_(camera_from_world=None) for f in ROUND.facts
+    ]
     found, maps = with_seen(
         lost,
         [Snapshot(1, ROUND.looks[0].picture, np.zeros(3))],

@@ -181,7 +181,8 @@ def test_every_frame_of_a_shot_has_one_environment_fixed_in_the_room() -> None:
     )
     assert still[2].environment is not None and still[2].environment.axes is not None
     room_at_rest = turned(
-        checked_faces(still[2].environment), np.reshape(still[2].environment.axes, (3, 3))
+        checked_faces(still[2].environment),
+        np.reshape(still[2].environment.axes, (3, 3)),
     )
     back = turned(room_at_rest, poses[2].rotation.T)
     np.testing.assert_allclose(back, room, atol=0.25)
@@ -201,10 +202,14 @@ def test_light_comes_from_over_a_plane_that_lies_and_from_before_and_above_one_t
 ):
     lying, standing = np.array([0.0, 0, 1]), np.array([0.0, -1, 0])
     for pitch in (20, 35, 45):
-        np.testing.assert_allclose(overhead([looking(pitch)], lying), lying, atol=1e-9)
+        np.testing.assert_allclose(
+            overhead([looking(pitch)], lying), lying, atol=1e-9
+        )
     half = np.array([0, -1, 1]) / np.sqrt(2)
     for pitch in (-0.0, 10, 40):
-        np.testing.assert_allclose(overhead([looking(pitch)], standing), half, atol=1e-9)
+        np.testing.assert_allclose(
+            overhead([looking(pitch)], standing), half, atol=1e-9
+        )
     straight_down = overhead([looking(90)], lying)
     np.testing.assert_allclose(
         straight_down, np.array([0, 1, 1]) / np.sqrt(2), atol=1e-9
@@ -213,13 +218,18 @@ def test_light_comes_from_over_a_plane_that_lies_and_from_before_and_above_one_t
     assert max(np.linalg.norm(b - a) for a, b in pairwise(path)) < 0.04
 
 
-@pytest.mark.parametrize(("plane_up", "pitch"), [((0.0, 0, 1), 40), ((0.0, -1, 0), 5)])
+@pytest.mark.parametrize(
+    ("plane_up", "pitch"), [((0.0, 0, 1), 40), ((0.0, -1, 0), 5)]
+)
 def test_soft_light_of_a_grey_room_has_a_form_and_no_direction(
     plane_up: tuple[float, float, float], pitch: float
 ) -> None:
     turn, up, shown = looking(pitch), np.array(plane_up), np.array([0.6, 0.5, 0.4])
     sample = EnvironmentSample(
-        0, cube_from_picture(np.full((90, 120, 3), 0.4), 6), np.full(3, 0.25), np.zeros(3)
+        0,
+        cube_from_picture(np.full((90, 120, 3), 0.4), 6),
+        np.full(3, 0.25),
+        np.zeros(3),
     )
     light = soft_light([sample], [turn], up, shown)
     assert not light.lights

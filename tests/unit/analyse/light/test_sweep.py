@@ -101,13 +101,16 @@ def photographed(
         longer = 1 / np.quantile(exact[:, WHITE], 1 - clip_share)
         exact, bias = exact * longer, bias * longer
     grey = np.round(
-        np.clip(encode(exact**gamma) + rng.normal(0, 2 / 255, exact.shape), 0, 1) * 255
+        np.clip(encode(exact**gamma) + rng.normal(0, 2 / 255, exact.shape), 0, 1)
+        * 255
     )
     fine = ((grey > 0) & (grey < 255)).all(-1)
     value, w = decode(grey / 255), fine[..., None]
     count = np.maximum(fine.sum(-1), 1)[..., None]
     mean = (value * w).sum(-2) / count
-    spread2 = (((value - mean[..., None, :]) ** 2) * w).sum(-2) / np.maximum(count - 1, 1)
+    spread2 = (((value - mean[..., None, :]) ** 2) * w).sum(-2) / np.maximum(
+        count - 1, 1
+    )
     clipped = 1 - fine.mean(-1)
     few = fine.sum(-1) < 4
     cut2 = cut_off(clipped)[..., None] ** 2 * spread2
@@ -118,7 +121,10 @@ def photographed(
 
 def direction(rng: np.random.Generator, least: float, most: float) -> np.ndarray:
     """(3,) unit at an angle from +z between least and most, in degrees, even over that band."""
-    z, phi = rng.uniform(*np.cos(np.radians([most, least]))), rng.uniform(0, 2 * np.pi)
+    z, phi = (
+        rng.uniform(*np.cos(np.radians([most, least]))),
+        rng.uniform(0, 2 * np.pi),
+    )
     return np.array(
         [np.sqrt(1 - z * z) * np.cos(phi), np.sqrt(1 - z * z) * np.sin(phi), z]
     )
@@ -141,8 +147,14 @@ def scene(
     rng = np.random.default_rng([seed, *kind.encode()])
     normals = by_hand(rng, rng.uniform(40, 62))
     if kind.startswith("board") or kind == "three at rest":
-        tilts = [direction(rng, 0, 15), direction(rng, 30, 50), direction(rng, 30, 50)]
-        if kind != "three at rest":  # three tilted markers on one board that is turned
+        tilts = [
+            direction(rng, 0, 15),
+            direction(rng, 30, 50),
+            direction(rng, 30, 50),
+        ]
+        if (
+            kind != "three at rest"
+        ):  # three tilted markers on one board that is turned
             z = normals
             x = normalise(np.cross([0.0, 1, 0], z))
             turn = np.stack([x, np.cross(z, x), z], -1)
@@ -152,7 +164,9 @@ def scene(
     if kind == "one normal":
         normals = np.repeat(direction(rng, 0, 40)[None], FRAMES, 0)
     if kind == "normals 1e-6 rad apart":
-        normals = normalise(np.array([0.0, 0, 1]) + 1e-6 * rng.normal(size=(FRAMES, 3)))
+        normals = normalise(
+            np.array([0.0, 0, 1]) + 1e-6 * rng.normal(size=(FRAMES, 3))
+        )
     times = np.resize(TIMES, len(normals))
     d = direction(rng, 15, 75)
     ambient, lamp = (
@@ -171,7 +185,9 @@ def scene(
             0.5 * np.clip(normals @ (np.cos(a) * d + np.sin(a) * u), 0, None)
             for a in np.radians([-30, 30])
         )
-        lamps = np.stack([np.cos(a) * d + np.sin(a) * u for a in np.radians([-30, 30])])
+        lamps = np.stack(
+            [np.cos(a) * d + np.sin(a) * u for a in np.radians([-30, 30])]
+        )
     if kind == "light that swings":
         swing = np.radians(50) * np.sin(2 * np.pi * 0.3 * times + rng.uniform(0, 6))
         u = normalise(np.cross(d, [0.3, 0.2, 1]))
@@ -287,7 +303,8 @@ def run(kind: str, known: bool, scenes: int = SCENES) -> Tally:
                 to.append(
                     float(
                         np.abs(
-                            encode(0.05 * level + p2.bias) - encode(0.05 * level + bias)
+                            encode(0.05 * level + p2.bias)
+                            - encode(0.05 * level + bias)
                         ).max()
                         * 255
                     )
@@ -316,7 +333,8 @@ def test_what_can_be_known_is_measured_well(kind: str) -> None:
     got = run(kind, True, max(1, SCENES // (4 if "board" in kind else 1)))
     assert not got.false, got.verdict_of()
     assert (
-        np.median(got.direction_deg) <= 2 and np.percentile(got.direction_deg, 90) <= 5
+        np.median(got.direction_deg) <= 2
+        and np.percentile(got.direction_deg, 90) <= 5
     ), got.verdict_of()
     assert got.plain_measured >= 0.9 * got.plain, got.verdict_of()
     if got.irradiance:
@@ -339,6 +357,6 @@ def test_what_cannot_be_known_is_refused(kind: str) -> None:
 def test_hard_ones_are_right_or_refused(kind: str) -> None:
     """Two lights 60 degrees apart: one of the two, never their middle."""
     got = run(kind, True, max(SCENES // 4, 1))
-    assert not got.false and (not got.direction_deg or np.max(got.direction_deg) < 10), (
-        got.verdict_of()
-    )
+    assert not got.false and (
+        not got.direction_deg or np.max(got.direction_deg) < 10
+    ), got.verdict_of()

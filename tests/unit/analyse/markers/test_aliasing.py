@@ -60,7 +60,8 @@ def _half_plane(d: np.ndarray, n: np.ndarray, point: bool) -> np.ndarray:
         return np.clip(d / high + 0.5, 0, 1)
     s, t = (high + low) / 2, (high - low) / 2
     return sum(
-        k * np.maximum(d + o, 0) ** 2 / 2 for k, o in ((1, s), (-1, t), (-1, -t), (1, -s))
+        k * np.maximum(d + o, 0) ** 2 / 2
+        for k, o in ((1, s), (-1, t), (-1, -t), (1, -s))
     ) / (high * low)  # type: ignore[no-any-return]
 
 
@@ -88,7 +89,9 @@ def scatter(
         )
         assert r.refined[0]
         error.append(r.corners_px[0] - quad)
-        said.append(np.hypot(r.sigma_px[0], shared_px(r.corners_px, r.blur_px, CELLS)[0]))
+        said.append(
+            np.hypot(r.sigma_px[0], shared_px(r.corners_px, r.blur_px, CELLS)[0])
+        )
     return float(np.sqrt(np.mean(np.square(error)))), float(
         np.sqrt(np.mean(np.square(said)))
     )
@@ -105,7 +108,9 @@ def test_predicted_error_covers_the_true_one_in_pixels_that_integrate(
     error, said = scatter(side_px, angle_deg, point=False)
     assert error < limit_px and error < 1.3 * said
     if angle_deg == 10.0:
-        assert said < 0.04  # a slanted side averages the steps away, and that is known
+        assert (
+            said < 0.04
+        )  # a slanted side averages the steps away, and that is known
 
 
 @pytest.mark.parametrize("angle_deg", ANGLES)
@@ -171,7 +176,8 @@ def test_frontal_40_px_print_without_any_blur_is_never_mirrored(seed: int) -> No
         for f, pose in zip(facts, truth, strict=True):
             got = f.camera_from_world if smoothed else f.raw_camera_from_world
             assert (
-                got is not None and np.degrees(rotation_angle_rad(got, pose)) < limit_deg
+                got is not None
+                and np.degrees(rotation_angle_rad(got, pose)) < limit_deg
             )
 
 

@@ -51,7 +51,9 @@ def errors(
     detector = MarkerDetector([family])
     ours, theirs, inverted = [], [], []
     for k, pose in enumerate(poses(side_px, m.size_m, 12)):
-        image = picture(CAM, [(m, pose)], BACK, noise=2.0, blur_px=blur_px, seed=k, **how)  # type: ignore[arg-type]
+        image = picture(
+            CAM, [(m, pose)], BACK, noise=2.0, blur_px=blur_px, seed=k, **how
+        )  # type: ignore[arg-type]
         found = [c for c in detector.search(image) if c.key == m.key]
         if not found:
             continue
@@ -63,7 +65,9 @@ def errors(
         ours.append(r.corners_px[0] - truth)
         start = found[0].quad_px.astype(np.float32).reshape(-1, 1, 2)
         theirs.append(
-            cv2.cornerSubPix(image, start, (3, 3), (-1, -1), (3, 50, 1e-3)).reshape(4, 2)
+            cv2.cornerSubPix(image, start, (3, 3), (-1, -1), (3, 50, 1e-3)).reshape(
+                4, 2
+            )
             - truth
         )
         inverted.append(bool(r.inverted[0]))
@@ -91,7 +95,9 @@ def test_inverted_print_is_told_and_as_exact() -> None:
 
 
 @pytest.mark.parametrize("grey, slant", [(0.35, 0.5), (0.55, 0.35), (0.8, 0.5)])
-def test_what_covers_part_of_a_side_moves_no_corner(grey: float, slant: float) -> None:
+def test_what_covers_part_of_a_side_moves_no_corner(
+    grey: float, slant: float
+) -> None:
     """Normals that meet no edge of the print, but what lies over it, are no samples of
     where it lies.
     """
@@ -150,9 +156,9 @@ def test_sides_bent_by_the_lens_do_not_move_the_corners() -> None:
     )
     wide = Camera(520, 440, np.array([[220.0, 0, 260], [0, 220, 220], [0, 0, 1]]))
     m, pose = MarkerSpec("36h11", 1, 0.1), tilted([0.2, -0.2, 0.1], [0.09, 0.05, 0.2])
-    ideal = picture(wide, [(m, pose)], background(520, 440), noise=0, blur_px=0).astype(
-        np.float32
-    )
+    ideal = picture(
+        wide, [(m, pose)], background(520, 440), noise=0, blur_px=0
+    ).astype(np.float32)
     y, x = np.mgrid[:240, :320]
     at = bent.normalised(np.stack([x, y], -1).astype(float)) * 220 + [260, 220]
     image = cv2.GaussianBlur(
@@ -175,9 +181,14 @@ def test_sides_bent_by_the_lens_do_not_move_the_corners() -> None:
     assert with_lens < 0.2 and with_lens < without / 2, (with_lens, without)
 
 
-def test_result_does_not_depend_on_the_company_or_on_a_small_change_of_start() -> None:
+def test_result_does_not_depend_on_the_company_or_on_a_small_change_of_start() -> (
+    None
+):
     m = MarkerSpec("36h11", 1, 0.1)
-    a, b = tilted([0.3, 0, 0], [-0.1, 0, 0.6]), tilted([0, 0.3, 0.2], [0.1, 0.02, 0.6])
+    a, b = (
+        tilted([0.3, 0, 0], [-0.1, 0, 0.6]),
+        tilted([0, 0.3, 0.2], [0.1, 0.02, 0.6]),
+    )
     n = MarkerSpec("36h11", 2, 0.1)
     image = picture(CAM, [(m, a), (n, b)], BACK)
     quads = {c.key: c.quad_px for c in MarkerDetector(["36h11"]).search(image)}
@@ -186,7 +197,9 @@ def test_result_does_not_depend_on_the_company_or_on_a_small_change_of_start() -
     )
     alone = refine_corners(image, quads[m.key][None], np.array([8]), TABLE)
     assert np.array_equal(both.corners_px[0], alone.corners_px[0])
-    moved = refine_corners(image, quads[m.key][None] + [0.7, -0.5], np.array([8]), TABLE)
+    moved = refine_corners(
+        image, quads[m.key][None] + [0.7, -0.5], np.array([8]), TABLE
+    )
     assert np.abs(moved.corners_px - alone.corners_px).max() < 0.02
 
 
@@ -219,7 +232,9 @@ def test_large_marker_of_which_the_detector_reports_the_inside_of_its_rim() -> N
 )
 def test_senseless_quads_come_back_unrefined(quad: np.ndarray) -> None:
     image = background(64, 48)
-    r = refine_corners((image * 255).astype(np.uint8), quad[None], np.array([8]), TABLE)
+    r = refine_corners(
+        (image * 255).astype(np.uint8), quad[None], np.array([8]), TABLE
+    )
     assert not r.refined[0] and r.sigma_px[0] == 1.0
     assert np.array_equal(r.corners_px[0], quad, equal_nan=True)
     thin = refine_corners(
@@ -230,7 +245,9 @@ def test_senseless_quads_come_back_unrefined(quad: np.ndarray) -> None:
 
 def test_nothing_to_refine_is_said() -> None:
     quad = np.array([[[100.0, 60], [160, 60], [160, 120], [100, 120]]])
-    flat = refine_corners(np.full((240, 320), 90, np.uint8), quad, np.array([8]), TABLE)
+    flat = refine_corners(
+        np.full((240, 320), 90, np.uint8), quad, np.array([8]), TABLE
+    )
     assert (
         not flat.refined[0]
         and np.array_equal(flat.corners_px, quad)

@@ -38,21 +38,30 @@ def test_noise_alone_is_no_contradiction() -> None:
     """Held against a twentieth of a cell alone, 32 of these 40 were told to be off; against
     the lines' scatter too, 4.
     """
-    assert sum(_misplaced(_CORNERS, noise=30.0, seed=seed) > 0 for seed in range(40)) <= 8
+    assert (
+        sum(_misplaced(_CORNERS, noise=30.0, seed=seed) > 0 for seed in range(40))
+        <= 8
+    )
 
 
 @pytest.mark.parametrize("inverted", [False, True])
-@pytest.mark.parametrize("moved", [(0, (3.0, 2.0)), (2, (-4.0, 0.0)), (3, (0.0, -3.0))])
+@pytest.mark.parametrize(
+    "moved", [(0, (3.0, 2.0)), (2, (-4.0, 0.0)), (3, (0.0, -3.0))]
+)
 def test_a_moved_corner_is_noticed_and_its_size_told(
     moved: tuple[int, tuple[float, float]], inverted: bool
 ) -> None:
     corners = _CORNERS.copy()
     corners[moved[0]] += moved[1]
     told = _misplaced(corners, inverted)
-    assert told == pytest.approx(float(np.linalg.norm(moved[1])) / np.sqrt(8), rel=0.5)
+    assert told == pytest.approx(
+        float(np.linalg.norm(moved[1])) / np.sqrt(8), rel=0.5
+    )
 
 
 def test_what_cannot_be_compared_is_not_held_against_it() -> None:
     flat = np.full((240, 320), 90, np.uint8)
     assert misplaced_px(flat, _CORNERS, "36h11", 3, False, _TABLE) == 0.0
-    assert misplaced_px(flat, np.full((4, 2), np.nan), "36h11", 3, False, _TABLE) == 0.0
+    assert (
+        misplaced_px(flat, np.full((4, 2), np.nan), "36h11", 3, False, _TABLE) == 0.0
+    )

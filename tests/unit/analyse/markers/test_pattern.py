@@ -26,7 +26,14 @@ from arfx.core.marker import PatternSpec
 from arfx.core.pose import Pose, rotation_angle_rad
 from arfx.errors import ConfigError, InputError, NothingToDoError
 from tests.observed import Observed
-from tests.unit.analyse.synthetic import background, camera, hung, picture, poster, tilted
+from tests.unit.analyse.synthetic import (
+    background,
+    camera,
+    hung,
+    picture,
+    poster,
+    tilted,
+)
 
 CAM = camera(320, 240, 330.0)
 PRINT, PRINTED = PatternSpec(Path("poster.png"), 0.22, 0.15), poster()
@@ -120,7 +127,12 @@ def test_what_blurs_or_hides_the_print_widens_its_sigma_until_it_is_gone(
     half = sharp.copy()
     quad = CAM.project(pose.apply(PRINT.corners_m))
     left = np.array(
-        [quad[0], 0.6 * quad[0] + 0.4 * quad[1], 0.6 * quad[3] + 0.4 * quad[2], quad[3]]
+        [
+            quad[0],
+            0.6 * quad[0] + 0.4 * quad[1],
+            0.6 * quad[3] + 0.4 * quad[2],
+            quad[3],
+        ]
     )
     cv2.fillConvexPoly(half, left.round().astype(np.int32), (90,))
     seen = tracked(known, [sharp, half, soft])
@@ -162,13 +174,19 @@ def test_other_pictures_are_not_taken_for_it(known: PatternPicture) -> None:
 def test_a_quad_of_the_back_or_without_extent_is_no_print() -> None:
     quad = np.array([[10.0, 10], [110, 12], [108, 90], [9, 88]])
     assert (
-        plausible(quad) and not plausible(quad[::-1]) and not plausible(quad * [1, 0.01])
+        plausible(quad)
+        and not plausible(quad[::-1])
+        and not plausible(quad * [1, 0.01])
     )
-    assert not plausible(quad[[0, 2, 1, 3]]) and not plausible(np.full((4, 2), np.nan))
+    assert not plausible(quad[[0, 2, 1, 3]]) and not plausible(
+        np.full((4, 2), np.nan)
+    )
 
 
 def test_plain_and_small_pictures_are_refused() -> None:
-    with pytest.raises(InputError, match=r"pattern a\.png is too plain: \d+ features"):
+    with pytest.raises(
+        InputError, match=r"pattern a\.png is too plain: \d+ features"
+    ):
         PatternPicture("a.png", np.full((200, 300), 200, np.uint8))
     with pytest.raises(InputError, match=r"pattern a\.png is 40x300"):
         PatternPicture("a.png", np.zeros((300, 40), np.uint8))
@@ -188,7 +206,9 @@ def test_a_rectangle_has_a_pose_as_a_marker_has() -> None:
 
 
 @pytest.mark.parametrize(("bend", "flat"), [(0.0, True), (0.02, False)])
-def test_a_print_that_is_not_flat_is_told_by_its_misfit(bend: float, flat: bool) -> None:
+def test_a_print_that_is_not_flat_is_told_by_its_misfit(
+    bend: float, flat: bool
+) -> None:
     """Bent like a wave, by a share of its height: 2 px in the frame."""
     h, w = GREY.shape
     x, y = np.meshgrid(np.arange(w), np.arange(h))
@@ -200,11 +220,15 @@ def test_a_print_that_is_not_flat_is_told_by_its_misfit(bend: float, flat: bool)
     analyser = Observed(AnalysisJob((PRINT,), CAM, prints={PRINT.key: PRINTED}))
     for k in range(4):
         view = hung(CAM, bent, PRINT.corners_m, place(k), BACK)
-        analyser.step(AnalysisFrame(k, k / 25, picture(CAM, [], 0.8 * view, 1.5, 0.6, k)))
+        analyser.step(
+            AnalysisFrame(k, k / 25, picture(CAM, [], 0.8 * view, 1.5, 0.6, k))
+        )
     clip = analyser.finish()
     (check,) = pattern_checks(clip.summary)
     assert (
-        check.ok == flat and check.name.startswith(PRINT.key) and "flat" in check.action
+        check.ok == flat
+        and check.name.startswith(PRINT.key)
+        and "flat" in check.action
     )
 
 

@@ -33,7 +33,9 @@ def at(x_px: float, y_px: float, turn: float = 0.2) -> Pose:
     )
 
 
-def frame(*markers: tuple[MarkerSpec, Pose], seed: int = 0, **how: object) -> np.ndarray:
+def frame(
+    *markers: tuple[MarkerSpec, Pose], seed: int = 0, **how: object
+) -> np.ndarray:
     return picture(CAM, markers, BACK, seed=seed, **how)  # type: ignore[arg-type]
 
 
@@ -44,9 +46,12 @@ def test_part_gives_the_corners_of_the_whole() -> None:
     assert [c.key for c in part] == [M.key] and np.array_equal(
         part[0].quad_px, whole[M.key]
     )
-    reduced = {c.key: c.quad_px for c in MarkerDetector(["36h11"]).search(image, None, 2)}
+    reduced = {
+        c.key: c.quad_px for c in MarkerDetector(["36h11"]).search(image, None, 2)
+    }
     assert (
-        reduced.keys() == whole.keys() and np.abs(reduced[M.key] - whole[M.key]).max() < 5
+        reduced.keys() == whole.keys()
+        and np.abs(reduced[M.key] - whole[M.key]).max() < 5
     )
 
 
@@ -61,7 +66,9 @@ class Counted:
         def counted(
             luma: np.ndarray, rect: Rect | None = None, factor: int = 1, **more: float
         ) -> list[Candidate]:
-            self.searched_px += (luma.size if rect is None else rect.area) // factor**2
+            self.searched_px += (
+                luma.size if rect is None else rect.area
+            ) // factor**2
             return search(luma, rect, factor, **more)
 
         prints.detector.search = counted  # type: ignore[method-assign]
@@ -109,7 +116,9 @@ def test_while_nothing_is_in_view_every_second_frame_is_looked_at_and_a_marker_i
     None
 ):
     clip = [
-        frame((M, at(300, 200)), seed=k) if k in (0, 1) or k >= came else frame(seed=k)
+        frame((M, at(300, 200)), seed=k)
+        if k in (0, 1) or k >= came
+        else frame(seed=k)
         for came in (22,)
         for k in range(27)
     ]
@@ -117,7 +126,9 @@ def test_while_nothing_is_in_view_every_second_frame_is_looked_at_and_a_marker_i
     def seen(tracker: Counted, ahead: bool) -> list[tuple[bool, int]]:
         found = []
         for k in range(len(clip)):
-            following = (lambda k=k: clip[k + 1]) if ahead and k + 1 < len(clip) else None  # type: ignore[misc]
+            following = (
+                (lambda k=k: clip[k + 1]) if ahead and k + 1 < len(clip) else None
+            )  # type: ignore[misc]
             got = tracker.step(k / 30, clip[k], following)
             found.append((bool(got.sightings), tracker.searched_px))
         return found
@@ -153,9 +164,13 @@ def test_small_frames_are_searched_in_parts_while_all_is_seen_well() -> None:
         for k in range(8):
             image = clip_frame(k, side_px, second=k < 4)
             found = tracker.step(k / 30, image)
-            whole = {c.key: c.quad_px for c in detector.search(image) if c.key in keys}
+            whole = {
+                c.key: c.quad_px for c in detector.search(image) if c.key in keys
+            }
             assert {c.key for c in found.sightings} == whole.keys()
-            assert all(np.array_equal(c.quad_px, whole[c.key]) for c in found.sightings)
+            assert all(
+                np.array_equal(c.quad_px, whole[c.key]) for c in found.sightings
+            )
             if k and parts:
                 assert tracker.searched_px < 0.4 * image.size and not found.whole
             if k > 4 and not parts:
@@ -185,7 +200,9 @@ def test_two_prints_of_one_id_are_told_apart_by_where_the_marker_was() -> None:
 
 def run(analyser: Observed, first: int, end: int) -> None:
     for k in range(first, end):
-        markers = [(M, at(300 + 6 * k, 200, 0.2 + 0.02 * k))] if k not in (6, 7) else []
+        markers = (
+            [(M, at(300 + 6 * k, 200, 0.2 + 0.02 * k))] if k not in (6, 7) else []
+        )
         analyser.step(AnalysisFrame(k, k / 15, frame(*markers, seed=k)))
 
 
@@ -200,13 +217,19 @@ def test_two_stretches_are_one_clip() -> None:
     assert [{**f.to_json(), "whole_frame_search": True} for f in a.facts] == [
         {**f.to_json(), "whole_frame_search": True} for f in b.facts
     ]
-    assert a.summary["frames_interpolated"] == 2 and a.summary["frames_measured"] == 14
+    assert (
+        a.summary["frames_interpolated"] == 2 and a.summary["frames_measured"] == 14
+    )
     truth = at(300 + 6 * 12, 200, 0.2 + 0.02 * 12)
     assert (
-        np.linalg.norm(a.facts[12].camera_from_world.translation_m - truth.translation_m)
+        np.linalg.norm(
+            a.facts[12].camera_from_world.translation_m - truth.translation_m
+        )
         < 2e-3
     )  # type: ignore[union-attr]
-    assert a.facts[12].reprojection_px is not None and a.facts[12].reprojection_px < 0.1
+    assert (
+        a.facts[12].reprojection_px is not None and a.facts[12].reprojection_px < 0.1
+    )
 
 
 def test_no_configured_marker_says_what_is_there_instead() -> None:

@@ -35,7 +35,8 @@ def texture(seed: int = 0) -> np.ndarray:
     """(700, 700) uint8 blotches of several sizes."""
     g = np.random.default_rng(seed)
     t = sum(
-        cv2.GaussianBlur(g.standard_normal((700, 700)), (0, 0), s) * s for s in (2, 5, 12)
+        cv2.GaussianBlur(g.standard_normal((700, 700)), (0, 0), s) * s
+        for s in (2, 5, 12)
     )
     made = np.clip(128 + 45 * t / t.std(), 0, 255).astype(np.uint8)
     made.setflags(write=False)
@@ -90,7 +91,9 @@ def field_of(f: FrameFacts) -> tuple[np.ndarray, np.ndarray]:
     return f.advection.places()
 
 
-def facts_of(motion: BackgroundMotion, n: int, **shots: int) -> tuple[FrameFacts, ...]:
+def facts_of(
+    motion: BackgroundMotion, n: int, **shots: int
+) -> tuple[FrameFacts, ...]:
     cut = shots.get("cut", n)
     frames = [FrameFacts(k, k / 30, shot=int(k >= cut)) for k in range(n)]
     return with_advection(frames, motion.steps, camera(W, H), Pose.identity(), 0.0)
@@ -107,7 +110,9 @@ def test_the_field_follows_true_motion(path: Callable[[int], np.ndarray]) -> Non
     gx, gy = np.moveaxis(node_positions(W, H), -1, 0)
     now, first = (np.vstack([path(t), [0, 0, 1]]) for t in (n - 1, 0))
     true = (
-        np.linalg.inv(first) @ now @ np.stack([gx.ravel(), gy.ravel(), np.ones(gx.size)])
+        np.linalg.inv(first)
+        @ now
+        @ np.stack([gx.ravel(), gy.ravel(), np.ones(gx.size)])
     )
     missed = np.hypot(u.ravel() - true[0], v.ravel() - true[1])
     inside = ((gx >= 0) & (gx < W) & (gy >= 0) & (gy < H)).ravel()
@@ -121,14 +126,17 @@ def test_nodes_are_moved_by_exact_shifts_to_a_tenth_of_a_pixel(
 ) -> None:
     g = np.random.default_rng(0)
     world = (
-        cv2.GaussianBlur(g.standard_normal((4 * H + 200, 4 * W + 200)), (0, 0), 10) * 10
+        cv2.GaussianBlur(g.standard_normal((4 * H + 200, 4 * W + 200)), (0, 0), 10)
+        * 10
     )
 
     def seen(by_px: tuple[float, float]) -> np.ndarray:
         x, y = (round(4 * (d + 20)) for d in by_px)
         part = world[y : y + 4 * H, x : x + 4 * W]
         frame = cv2.resize(part, (W, H), interpolation=cv2.INTER_AREA)
-        return np.clip(120 + 50 * frame + g.normal(0, 1, (H, W)), 0, 255).astype(np.uint8)
+        return np.clip(120 + 50 * frame + g.normal(0, 1, (H, W)), 0, 255).astype(
+            np.uint8
+        )
 
     motion = folded([seen((0, 0)), cv2.add(seen(move_px), brighter)])
     back = motion.steps[1].back
@@ -274,7 +282,9 @@ def test_detail_goes_with_the_things_and_holds_still() -> None:
     s, on, off = scene(camera(W, H)), [], []
     for t, f in enumerate(facts):
         field, _ = reader.frame_field(f, s, 8.0, 0.0)
-        assert (field.size >= 8 * 2**-0.91).all() and (field.size <= 8 * 2**0.31).all()
+        assert (field.size >= 8 * 2**-0.91).all() and (
+            field.size <= 8 * 2**0.31
+        ).all()
         x, y = (
             (295 - 150 - 2.5 * t - field.x0) / GRID_PX,
             (270 - 150 + t - field.y0) / GRID_PX,
@@ -282,9 +292,9 @@ def test_detail_goes_with_the_things_and_holds_still() -> None:
         grid = field.size.astype(np.float32)
         on.append(
             float(
-                cv2.remap(grid, np.float32([[x]]), np.float32([[y]]), cv2.INTER_LINEAR)[
-                    0, 0
-                ]
+                cv2.remap(
+                    grid, np.float32([[x]]), np.float32([[y]]), cv2.INTER_LINEAR
+                )[0, 0]
             )
         )
         off.append(float(field.size[-2, 4]))
@@ -297,5 +307,11 @@ def test_detail_goes_on_after_a_pause_and_begins_anew_at_a_cut() -> None:
     motion = folded([b, b, a, a])
     facts = [FrameFacts(t, t / 30, shot=t // 2) for t in range(4)]
     made = with_advection(facts, motion.steps, camera(W, H), Pose.identity(), 0.0)
-    size = [reader.frame_field(f, scene(camera(W, H)), 8.0, 0.0)[0].size for f in made]
-    assert np.array_equal(size[0], size[1]) and size[0].mean() < 7 and (size[2] > 8).all()
+    size = [
+        reader.frame_field(f, scene(camera(W, H)), 8.0, 0.0)[0].size for f in made
+    ]
+    assert (
+        np.array_equal(size[0], size[1])
+        and size[0].mean() < 7
+        and (size[2] > 8).all()
+    )

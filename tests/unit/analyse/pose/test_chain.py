@@ -84,7 +84,11 @@ def dense(measured: np.ndarray, pull: np.ndarray, before: np.ndarray, after: np.
         log += 0.5 * np.linalg.slogdet(w)[1] - 0.5 * offset[k] @ w @ offset[k]
     cov = np.linalg.inv(a)
     mean = cov @ g
-    return mean.reshape(N, DIM), cov, log + 0.5 * g @ mean - 0.5 * np.linalg.slogdet(a)[1]
+    return (
+        mean.reshape(N, DIM),
+        cov,
+        log + 0.5 * g @ mean - 0.5 * np.linalg.slogdet(a)[1],
+    )
 
 
 def smoothed(seen: Chain, density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -130,7 +134,9 @@ def test_extreme_noise_stays_regular(q: float, dt_s: float) -> None:
     before[:, i, i + 6] = -dt[:, None]
     links = before, after, np.zeros((n - 1, DIM)), dt, np.zeros((n - 1, 6, 2))
     measured = np.tile(np.diag([1e2, 1e4, 1e6, 1e9, 1e9, 1e6]), (n, 1, 1))
-    value = np.random.default_rng(0).normal(0, 1, (n, 6)) / np.sqrt(np.diag(measured[0]))
+    value = np.random.default_rng(0).normal(0, 1, (n, 6)) / np.sqrt(
+        np.diag(measured[0])
+    )
     pull = np.einsum("nij,nj->ni", measured, value)
     mean, cov = smoothed(chain(measured, pull, *links), np.full((n - 1, 7), q))
     assert np.isfinite(mean).all() and (np.linalg.eigvalsh(cov[:, :6, :6]) > 0).all()
@@ -203,7 +209,10 @@ def test_two_short_links_are_one_long_link() -> None:
     def last(dt: list[float]) -> np.ndarray:
         n = len(dt)
         i = np.arange(6)
-        before, after = np.tile(-np.eye(DIM), (n, 1, 1)), np.tile(np.eye(DIM), (n, 1, 1))
+        before, after = (
+            np.tile(-np.eye(DIM), (n, 1, 1)),
+            np.tile(np.eye(DIM), (n, 1, 1)),
+        )
         before[:, i, i + 6] = -np.array(dt)[:, None]
         links = before, after, np.zeros((n, DIM)), np.array(dt), np.ones((n, 6, 2))
         seen = np.zeros((n + 1, 6, 6))

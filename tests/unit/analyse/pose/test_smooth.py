@@ -36,7 +36,9 @@ def away(side_px: float) -> float:
 
 
 def analysed(rec: Sequence[Record], cam: Camera = CAM, **params: float) -> Analysis:
-    return solve_poses(rec, [M], cam, AnalyseParams(static="camera", **params), None, [])  # type: ignore[arg-type]
+    return solve_poses(
+        rec, [M], cam, AnalyseParams(static="camera", **params), None, []
+    )  # type: ignore[arg-type]
 
 
 def pose_errors(
@@ -81,7 +83,9 @@ MOVING = {
 
 
 @pytest.mark.parametrize("name", MOVING)
-def test_moving_markers_come_out_truer_than_single_frames_and_in_time(name: str) -> None:
+def test_moving_markers_come_out_truer_than_single_frames_and_in_time(
+    name: str,
+) -> None:
     truth = MOVING[name]
     facts = analysed(records(CAM, truth, T, {M: Pose.identity()}, 0.05)).facts
     deg_raw, mm_raw = pose_errors(facts, truth, raw=True)
@@ -130,7 +134,9 @@ def test_a_hands_shake_is_told_from_where_the_marker_is(noise_px: float) -> None
     for seed in range(3):
         truth = shaken(seed)
         a = analysed(records(CAM, truth, T, {M: Pose.identity()}, noise_px, seed))
-        errors.append([rms(pose_errors(a.facts, truth, raw)[0]) for raw in (True, False)])
+        errors.append(
+            [rms(pose_errors(a.facts, truth, raw)[0]) for raw in (True, False)]
+        )
         assert (
             a.summary["motion_noise"][0][SHAKE]
             > 10 * a.summary["motion_noise"][0][SIDEWAYS]
@@ -214,9 +220,13 @@ def test_links_between_turned_frames_are_the_derivative() -> None:
         here = _Path(r, t, Observed(*blank), dt, centre).chain
         return here.offset[0, :6]  # Log of the turn and the change of place
 
-    links = _Path(rotation, translation, Observed(*blank), dt, centre).chain.links[0, :6]
+    links = _Path(rotation, translation, Observed(*blank), dt, centre).chain.links[
+        0, :6
+    ]
     predicted = (
-        shift(rotation, translation) + links[:, :6] @ step[0] + links[:, 12:18] @ step[1]
+        shift(rotation, translation)
+        + links[:, :6] @ step[0]
+        + links[:, 12:18] @ step[1]
     )
     error = np.abs(
         shift(*_apply_step(rotation, translation, step, centre)) - predicted
@@ -246,9 +256,13 @@ def test_frontal_40_px_marker_never_flips(tilt: float) -> None:
     a, alone = analysed(seen), Sightings(seen, (M,), CAM).prints.poses
     best = [
         np.degrees(rotation_angle_rad(Pose(turn, shift), truth[0]))
-        for turn, shift in zip(alone.rotation[:, 0], alone.translation[:, 0], strict=True)
+        for turn, shift in zip(
+            alone.rotation[:, 0], alone.translation[:, 0], strict=True
+        )
     ]
-    assert sum(b > 10 for b in best) > N / 10  # the clip is as hard as it is meant to be
+    assert (
+        sum(b > 10 for b in best) > N / 10
+    )  # the clip is as hard as it is meant to be
     deg, _ = pose_errors(a.facts, truth, raw=False)
     assert deg.max() < 5.0
     assert a.summary["flips_resolved"] > 0
@@ -277,20 +291,27 @@ def test_covariance_tells_the_error() -> None:
 def test_cut_is_not_smoothed_over_and_times_may_be_uneven() -> None:
     rng = np.random.default_rng(4)
     times = np.cumsum(rng.uniform(0.01, 0.06, N))
-    truth = [tilted([0.5, 0, 0.3 * t], [0.1 * t - 0.1, 0, away(80)]) for t in times[:50]]
+    truth = [
+        tilted([0.5, 0, 0.3 * t], [0.1 * t - 0.1, 0, away(80)]) for t in times[:50]
+    ]
     truth += [
-        tilted([-0.4, 0.2, 1.0], [0.05, 0.1 * np.sin(t), away(60)]) for t in times[50:]
+        tilted([-0.4, 0.2, 1.0], [0.05, 0.1 * np.sin(t), away(60)])
+        for t in times[50:]
     ]
     rec = records(CAM, truth, times, {M: Pose.identity()}, 0.05)
     other = rng.integers(0, 256, THUMBNAIL.shape, np.uint8)
     rec[50:] = [replace(r, thumbnail=other) for r in rec[50:]]
     a = analysed(rec)
-    assert a.summary["cuts"] == [50] and [f.shot for f in a.facts] == [0] * 50 + [1] * 50
+    assert (
+        a.summary["cuts"] == [50] and [f.shot for f in a.facts] == [0] * 50 + [1] * 50
+    )
     deg, mm = pose_errors(a.facts, truth, raw=False)
     assert deg.max() < 1.5 and mm.max() < 5 and min(f.opacity for f in a.facts) == 1.0
 
 
-def test_gaps_are_bridged_longer_ones_fade_and_strength_zero_changes_nothing() -> None:
+def test_gaps_are_bridged_longer_ones_fade_and_strength_zero_changes_nothing() -> (
+    None
+):
     truth: list[Pose | None] = list(MOVING["swing"])
     for k in (*range(30, 36), *range(60, 85)):
         truth[k] = None
@@ -301,7 +322,9 @@ def test_gaps_are_bridged_longer_ones_fade_and_strength_zero_changes_nothing() -
         status[60:85]
     ) == {"absent"}
     bridged = [
-        np.degrees(rotation_angle_rad(a.facts[k].camera_from_world, MOVING["swing"][k]))
+        np.degrees(
+            rotation_angle_rad(a.facts[k].camera_from_world, MOVING["swing"][k])
+        )
         for k in range(30, 36)
     ]  # type: ignore[arg-type]
     assert max(bridged) < 4.0
@@ -348,7 +371,9 @@ def test_gaps_of_minutes_and_months_between_frames_leave_poses_as_true(
     )
 
 
-def test_a_long_shot_is_smoothed_piece_by_piece(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_shot_is_smoothed_piece_by_piece(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """So that memory does not grow with it; no seam stands out of the noise."""
     times = np.arange(500) / 30
     truth = [swing(a, 2.0, 1.5, 1.0) for a in times]
@@ -380,7 +405,9 @@ def test_a_long_shot_is_smoothed_piece_by_piece(monkeypatch: pytest.MonkeyPatch)
     assert np.abs(seams).max() < error and rms(again - true) < 1.2 * error
 
 
-def test_a_gap_longer_than_a_piece_is_bridged(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_gap_longer_than_a_piece_is_bridged(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     for name, frames in (("_PIECE", 200), ("_BESIDE", 60), ("_FADE", 30)):
         monkeypatch.setattr(smooth, name, frames)
     n = 1000
@@ -392,7 +419,9 @@ def test_a_gap_longer_than_a_piece_is_bridged(monkeypatch: pytest.MonkeyPatch) -
     weight[100:900] = 0
     seen = Observed(points, ideal, np.tile(800 * np.eye(2), (n, 4, 1, 1)), weight)
     times = np.arange(n) / 30
-    rotation, translation, covariance, _ = smooth.smooth_poses(turn, shift, seen, times)
+    rotation, translation, covariance, _ = smooth.smooth_poses(
+        turn, shift, seen, times
+    )
     np.testing.assert_allclose(translation, shift, atol=1e-6)
     np.testing.assert_allclose(rotation, turn, atol=1e-6)
     spread = np.sqrt(covariance[:, 0, 0])

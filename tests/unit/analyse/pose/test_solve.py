@@ -83,7 +83,9 @@ def test_unknown_layout_is_mapped_from_pairs_seen_together() -> None:
 
 
 def test_marker_never_seen_with_others_is_left_out_and_named() -> None:
-    rec = records(CAM, ORBIT, T, LAYOUT, 0.1, visible=lambda k, m: (m is C) == (k > 30))
+    rec = records(
+        CAM, ORBIT, T, LAYOUT, 0.1, visible=lambda k, m: (m is C) == (k > 30)
+    )
     a = solve_poses(rec, [A, B, C], CAM, PARAMS, None, [])
     assert set(a.world_from_marker) == {A.key, B.key} and any(
         C.key in n for n in a.notices
@@ -115,7 +117,11 @@ def test_given_map_is_taken_and_a_contradicting_print_is_not_used() -> None:
     seen = (
         *rec[20].detections[:2],
         Detection(
-            wrong.key, wrong.corners_px + np.array([90, -60]), wrong.sigma_px, 0.8, False
+            wrong.key,
+            wrong.corners_px + np.array([90, -60]),
+            wrong.sigma_px,
+            0.8,
+            False,
         ),
     )
     rec[20] = Record(20, rec[20].time_s, seen, (), False, rec[20].thumbnail)
@@ -123,7 +129,9 @@ def test_given_map_is_taken_and_a_contradicting_print_is_not_used() -> None:
         rec, [A, B, C], CAM, PARAMS, {m.key: p for m, p in LAYOUT.items()}, []
     )
     assert a.summary["map"]["given"] and a.summary["dropped"] == 1
-    assert np.degrees(rotation_angle_rad(a.facts[20].camera_from_world, ORBIT[20])) < 0.3  # type: ignore[arg-type]
+    assert (
+        np.degrees(rotation_angle_rad(a.facts[20].camera_from_world, ORBIT[20])) < 0.3
+    )  # type: ignore[arg-type]
 
 
 def test_a_camera_that_does_not_fit_the_clip_is_a_notice() -> None:
@@ -231,7 +239,8 @@ def test_path_stays_in_one_valley_against_small_misfits() -> None:
 
 def test_cut_is_found_flash_and_pan_are_not() -> None:
     one, two = (
-        np.clip(background(320, 180, s) * 255, 0, 255).astype(np.uint8) for s in (1, 2)
+        np.clip(background(320, 180, s) * 255, 0, 255).astype(np.uint8)
+        for s in (1, 2)
     )
     shift = [np.roll(one, 2 * k, 1) for k in range(10)]
     flash = np.clip(shift[4].astype(int) * 2 + 40, 0, 255).astype(np.uint8)
@@ -240,7 +249,9 @@ def test_cut_is_found_flash_and_pan_are_not() -> None:
     def cuts(clip: list[np.ndarray], followed: bool = False) -> list[int]:
         thumbnails = [thumbnail(f) for f in clip]
         return find_cuts(
-            unlikeness(thumbnails, 1), unlikeness(thumbnails, 2), [followed] * len(clip)
+            unlikeness(thumbnails, 1),
+            unlikeness(thumbnails, 2),
+            [followed] * len(clip),
         )
 
     assert cuts([*shift, *[two] * 5]) == [10]
@@ -339,9 +350,13 @@ def static_clip(kind: str) -> tuple[str, dict[str, float]]:
         turn = rotation_from_rotvec(
             np.array([0.05 * np.sin(2 * a), 0.08 * np.sin(3 * a), 0.02 * a])
         )
-        moving = Pose(turn, np.array([0.1 * np.sin(2 * a), 0.05 * a, 0.05 * np.sin(a)]))
+        moving = Pose(
+            turn, np.array([0.1 * np.sin(2 * a), 0.05 * a, 0.05 * np.sin(a)])
+        )
         camera_from_room = Pose.identity() if kind == "camera" else moving
-        if kind == "marker, orbited":  # by 7 degrees in a third of a second, .14 m aside
+        if (
+            kind == "marker, orbited"
+        ):  # by 7 degrees in a third of a second, .14 m aside
             turn = rotation_from_rotvec(np.array([0.0, 0.36 * (a - 0.6), 0.0]))
             camera_from_room = Pose(
                 turn, np.array([0, 0, 1.2]) - turn @ np.array([0, 0, 1.2])
@@ -381,7 +396,8 @@ def test_epipolar_distance_is_zero_on_points_of_a_rigid_world() -> None:
     rng = np.random.default_rng(1)
     points = rng.uniform([-0.3, -0.3, 1.5], [0.3, 0.3, 6], (50, 3))
     move = Pose(
-        rotation_from_rotvec(np.array([0.03, -0.02, 0.1])), np.array([0.08, 0.01, 0.02])
+        rotation_from_rotvec(np.array([0.03, -0.02, 0.1])),
+        np.array([0.08, 0.01, 0.02]),
     )
     a, b = CAM.project(points), CAM.project(move.apply(points))
     assert (
@@ -421,7 +437,9 @@ def test_model_box_covers_the_model_and_only_that() -> None:
     )
     behind = inside.with_(camera_from_world=tilted([0, 0, 0], [0, 0, -4.0]))
     aside = inside.with_(camera_from_world=tilted([0, 0, 0], [40, 0, 4.0]))
-    boxes = with_model([inside, behind, aside, inside.with_(camera_from_world=None)], s)
+    boxes = with_model(
+        [inside, behind, aside, inside.with_(camera_from_world=None)], s
+    )
     px = s.camera.project(inside.camera_from_world.apply(s.model_points_m))  # type: ignore[union-attr]
     box = boxes[0].model_box
     assert box.x0 <= max(px[:, 0].min(), 0) and box.x1 >= min(
@@ -450,11 +468,15 @@ def test_jitter_is_the_second_difference_and_skips_breaks() -> None:
         and np.median(relative[1:-1]) < 1e-6
     )
     broken = [f.with_(shot=int(k > 1)) for k, f in enumerate(facts)]
-    assert np.isfinite(jitter_px(broken, np.zeros((1, 3)), CAM, raw=True)[0]).sum() == 1
+    assert (
+        np.isfinite(jitter_px(broken, np.zeros((1, 3)), CAM, raw=True)[0]).sum() == 1
+    )
 
 
 def test_facts_file_round_trip_and_refusals(tmp_path: Path) -> None:
-    a = solve_poses(records(CAM, ORBIT, T, LAYOUT, 0.1), [A, B, C], CAM, PARAMS, None, [])
+    a = solve_poses(
+        records(CAM, ORBIT, T, LAYOUT, 0.1), [A, B, C], CAM, PARAMS, None, []
+    )
     path = tmp_path / "facts.jsonl"
     write_facts(path, a.facts)
     for f, g in zip(a.facts, read_facts(path), strict=True):
