@@ -36,7 +36,8 @@ CORNER_RATIO = 4.5
 # views with less than this share of the median corner sharpness are left out: blur moves
 # corners
 BLUR_FRACTION = 0.7
-MOST_CORNERS = 0.1  # of a view; one that would lose more stays as it is, for `reject_views` to judge
+# of a view; one that would lose more stays as it is, for `reject_views` to judge
+MOST_CORNERS = 0.1
 
 
 class Rejected(NamedTuple):
