@@ -9,7 +9,7 @@ import difflib
 import os
 import tomllib
 from collections.abc import Mapping, Sequence
-from functools import cache, reduce
+from functools import cache, lru_cache, reduce
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -204,10 +204,15 @@ def _fields(kind: Any) -> dict[str, Any]:
 
 def suggestion(name: str, known: Any) -> str:
     """'did you mean …?' or the list of what is known."""
-    hit = difflib.get_close_matches(name, known, 1)
+    hit = _closest(str(name), tuple(known))
     return (
         f"did you mean {hit[0]!r}?" if hit else "known: " + ", ".join(sorted(known))
     )
+
+
+@lru_cache(maxsize=64)  # a misspelt head of a table is met in every row
+def _closest(name: str, known: tuple[str, ...]) -> list[str]:
+    return difflib.get_close_matches(name, known, 1)
 
 
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

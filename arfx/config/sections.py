@@ -292,7 +292,7 @@ def settings() -> tuple[Setting, ...]:
 
 def option_of(field: Any) -> tuple[list[str], str | None, str]:
     """Flags of a field's option, its metavar and help; no flags: it has none."""
-    words: Any = field.json_schema_extra or {"option": "", "help": ""}
+    words: Any = {"option": "", "help": "", **(field.json_schema_extra or {})}
     option = words["option"].split()
     flags = [word for word in option if word.startswith("-")] or option
     return flags, option[-1] if len(option) > len(flags) else None, words["help"]

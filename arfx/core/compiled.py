@@ -108,7 +108,7 @@ class CacheLocator:
         return str(code_folder(Path(self._file).parent))
 
     def ensure_cache_path(self) -> None:
-        """`code_folder` has made it."""
+        Path(self.get_cache_path()).mkdir(parents=True, exist_ok=True)
 
     def get_source_stamp(self) -> str:
         return _stamp(self._file)

@@ -103,8 +103,11 @@ def read_bytes(path: Path | str, kind: str) -> bytes:
             os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0),
         )
         with os.fdopen(handle, "rb") as f:
-            _check_status(os.fstat(handle), path, kind)
-            data = f.read()
+            status = os.fstat(handle)
+            _check_status(status, path, kind)
+            data = f.read(status.st_size + 1)
+            while len(data) <= limit and (more := f.read(MIB)):
+                data += more  # it grows, or is one of /proc, which say that they are empty
     except OSError as e:
         raise _unreadable(path, kind, e) from None
     if len(data) > limit:

@@ -32,7 +32,8 @@ def rotvec_from_rotation(rotation: np.ndarray) -> np.ndarray:
 
 def rotation_from_quaternion(q: np.ndarray) -> np.ndarray:
     """(..., 3, 3) of unit quaternions (..., 4), scalar first."""
-    return np.asarray(Rotation.from_quat(q, scalar_first=True).as_matrix())
+    k = skew(q[..., 1:])
+    return np.asarray(np.eye(3) + 2 * (q[..., :1, None] * k + k @ k))
 
 
 def rotation_from_euler_deg(x: float, y: float, z: float) -> np.ndarray:

@@ -229,11 +229,10 @@ def recommendation(found: Measurements) -> str:
     good = next((r for r in others if not visible(r)), None)
     chosen = good or min(others, key=lambda r: r.average("mean"), default=None)
     lower = QUALITIES[: QUALITIES.index(chosen.level)] if chosen else ()
-    worse = [r for r in found.effects if r.level in lower and visible(r)]
+    effects = [r for r in found.effects if not r.other]
+    worse = [r for r in effects if r.level in lower and visible(r)]
     shows = max(worse, key=lambda r: r.worst("p99"), default=None)
-    own = [
-        r for r in found.effects if chosen and chosen.levels.get(r.name) == r.level
-    ]
+    own = [r for r in effects if chosen and chosen.levels.get(r.name) == r.level]
     return render(
         "measure/tradeoff_advice.jinja",
         reference=reference,

@@ -196,6 +196,9 @@ def open_depth(
         if suffix in TIFF:
             check_size(regular(path, "depth"), path, "depth map")
             count = cv2.imcount(str(path), cv2.IMREAD_UNCHANGED)
+            if count < 1:
+                hint = "16-bit or float pages"
+                raise InputError(f"depth {path} cannot be read as a TIFF", hint)
             page = partial(_page, path)
             return DepthMaps(path, (path,), count, steps_per_m, start_s, None, page)
         if suffix in VIDEO:

@@ -11,7 +11,7 @@ import numpy as np
 
 from arfx.core.opener import parse_json
 from arfx.errors import InputError
-from arfx.media.model_files import DAMAGED, TABLES, ModelFile
+from arfx.media.model_files import DAMAGED, MAX_FACES, TABLES, ModelFile
 from arfx.media.model_parts import shares
 
 _CONVERT = "npx @gltf-transform/cli"
@@ -77,12 +77,15 @@ class Gltf:
     def array(self, number: int, columns: int | None = None) -> np.ndarray:
         """(count, columns) of an accessor, sparse values put in; normalised numbers are floats.
 
-        columns : how many there must be, None = any. Raises InputError: too many; ValueError."""
+        columns : how many there must be, None = any. Raises InputError."""
         accessor = self.header["accessors"][number]
         count, found = accessor["count"], _SHAPES[accessor["type"]]
-        self.file.check_counts(count // 3)
+        if not 0 <= count <= 3 * MAX_FACES:
+            raise InputError(f"accessor {number} counts {count}", DAMAGED)
         if columns not in (None, found):
-            raise ValueError
+            raise InputError(
+                f"accessor {number} is of type {accessor['type']}", DAMAGED
+            )
         out = np.zeros((count, found), _KINDS[accessor["componentType"]])
         if "bufferView" in accessor:
             out[:] = self._values(accessor, count, found)
@@ -106,7 +109,7 @@ class Gltf:
 
 def _chunks(data: bytes) -> tuple[bytes, bytes]:
     """The JSON of a GLB file, and what is behind it; nothing where there is none."""
-    if data[:4] != b"glTF":
+    if len(data) < 20 or data[:4] != b"glTF":
         raise InputError("it does not begin as a GLB file", DAMAGED)
     end = 20 + struct.unpack_from("<I", data, 12)[0]
     size = struct.unpack_from("<I", data, end)[0] if end + 8 <= len(data) else 0

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from arfx.core.colour import SRGB
 from arfx.core.model import CLAMP, MIRROR, OPAQUE, REPEAT, Material, Texture
 from arfx.media.gltf import Gltf
 from arfx.media.model_files import TABLES
@@ -35,7 +36,7 @@ def gltf_material(gltf: Gltf, number: int, coloured: bool) -> Material:
         value, several = _stated(given, path, default), isinstance(default, list)
         fields[name] = tuple(map(float, value)) if several else float(value)
     if (glossy := extensions.get("KHR_materials_pbrSpecularGlossiness")) is not None:
-        fields |= _metallic(gltf, glossy)
+        fields |= _glossy(gltf, glossy)
     strength = _stated(
         extensions, "KHR_materials_emissive_strength/emissiveStrength", 1
     )
@@ -81,21 +82,22 @@ def _emission(fields: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _metallic(gltf: Gltf, given: dict[str, Any]) -> dict[str, Any]:
+def _glossy(gltf: Gltf, given: dict[str, Any]) -> dict[str, Any]:
     """Metallic-roughness of specular-glossiness, texel by texel where it has textures."""
-    from PIL import Image
-    from trimesh.visual.gloss import specular_to_pbr
-
+    shine = [
+        *given.get("specularFactor", [1.0] * 3),
+        given.get("glossinessFactor", 1.0),
+    ]
+    factors = given.get("diffuseFactor", [1.0] * 4), shine
     keys = "diffuseTexture", "specularGlossinessTexture"
     matt, shiny = textures = [_texture(gltf, given.get(key)) for key in keys]
-    factors = {key: value for key, value in given.items() if key.endswith("Factor")}
     laid, rough_laid = matt or shiny, shiny or matt
     if laid is None or rough_laid is None:
-        found = specular_to_pbr(**factors)
+        base, rough = _metallic(*(np.array(f, np.float32) for f in factors))
         return {
-            "base_colour": tuple(map(float, found["baseColorFactor"])),
-            "roughness": float(found["roughnessFactor"]),
-            "metallic": float(found["metallicFactor"]),
+            "base_colour": tuple(base.tolist()),
+            "roughness": float(rough[0]),
+            "metallic": float(rough[1]),
         }
     size = max(t.picture.shape[1::-1] for t in (laid, rough_laid))
     white = np.full((1, 1, 4), 255, np.uint8)
@@ -103,12 +105,15 @@ def _metallic(gltf: Gltf, given: dict[str, Any]) -> dict[str, Any]:
     base, rough = np.full((2, *pictures[0].shape), 255, np.uint8)
     for a in range(0, len(base), _ROWS):
         rows = slice(a, a + _ROWS)
-        texels = {
-            k: Image.fromarray(p[rows]) for k, p in zip(keys, pictures, strict=True)
-        }
-        found = specular_to_pbr(**(factors | texels))
-        base[rows] = found["baseColorTexture"]
-        rough[rows, :, 1:3] = np.array(found["metallicRoughnessTexture"])[..., 1:]
+        linear = []
+        for picture, factor in zip(pictures, factors, strict=True):
+            part = picture[rows] / np.float32(255)
+            part[..., :3] = SRGB.decode(part[..., :3])
+            linear.append(part * np.array(factor, np.float32))
+        colour, matte = _metallic(*linear)
+        colour[..., :3] = SRGB.encode(colour[..., :3])
+        base[rows] = np.round(colour * 255)
+        rough[rows, :, 1:3] = np.round(matte * 255)
     return {
         "base_colour": (1.0, 1.0, 1.0, 1.0),
         "base_texture": replace(laid, picture=base),
@@ -157,3 +162,30 @@ def _picture_from_uv(change: dict[str, Any]) -> np.ndarray:
     wide, high = change.get("scale", (1, 1))
     x, y = change.get("offset", (0, 0))
     return np.array([[wide * c, high * s, x], [-wide * s, high * c, y]], float)
+
+
+def _metallic(
+    diffuse: np.ndarray, shine: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Base colour and alpha (..., 4); roughness and metallic (..., 2).
+
+    diffuse : (..., 4) colour and alpha;  shine : (..., 4) specular colour and glossiness
+    Source: Khronos' convert-between-workflows; brightness: root of the weighted squares (HSP).
+    """
+    colour, specular = diffuse[..., :3], shine[..., :3]
+    d, s = _brightness(colour), _brightness(specular)
+    rest = (1.0 - specular.max(-1)) / (1.0 - _DIELECTRIC)
+    b = d * rest + s - 2 * _DIELECTRIC
+    square = b * b - 4 * _DIELECTRIC * (_DIELECTRIC - s)
+    share = (np.sqrt(np.maximum(square, 0.0)) - b) / (2 * _DIELECTRIC)
+    metal = np.where(s < _DIELECTRIC, 0.0, np.clip(share, 0.0, 1.0))
+    m = metal[..., None]
+    matt = colour * rest[..., None] / np.maximum(1.0 - m, 1e-6)
+    shiny = (specular - _DIELECTRIC * (1.0 - m)) / np.maximum(m, 1e-6)
+    base = np.clip(matt + (shiny - matt) * m * m, 0.0, 1.0)
+    rough = np.stack([1.0 - shine[..., 3], metal], -1)
+    return np.concatenate([base, diffuse[..., 3:]], -1), rough
+
+
+def _brightness(colour: np.ndarray) -> np.ndarray:
+    return np.asarray(np.sqrt(colour**2 @ np.array([0.299, 0.587, 0.114])))

@@ -48,6 +48,7 @@ class ModelFile:
         self._folder = path.absolute().parent.resolve()
         self._pictures: dict[Any, np.ndarray | None] = {}
         self._texels = 0
+        self._names: dict[Path, dict[str, str]] = {}
 
     def check_counts(self, faces: int, parts: int = 0) -> None:
         """Raises InputError: there are more than can be handled."""
@@ -164,12 +165,13 @@ class ModelFile:
         in how umlauts are written."""
         path = self._folder
         for name in place.relative_to(path).parts:
-            inside = path.resolve().is_relative_to(self._folder) and path.is_dir()
-            on_disk = sorted(os.listdir(path)) if inside else []  # noqa: PTH208
-            if name not in on_disk:
-                alike = (n for n in on_disk if _folded(n) == _folded(name))
-                name = next(alike, name)
-            path /= name
+            if path not in self._names:
+                inside = path.resolve().is_relative_to(self._folder) and path.is_dir()
+                on_disk = sorted(os.listdir(path)) if inside else []  # noqa: PTH208
+                own = {n: n for n in on_disk}
+                self._names[path] = {_folded(n): n for n in on_disk[::-1]} | own
+            names = self._names[path]
+            path /= names.get(name) or names.get(_folded(name), name)
         return path
 
 

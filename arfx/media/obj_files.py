@@ -42,7 +42,7 @@ def obj_meshes(file: ModelFile) -> Iterator[Placed]:
     faces_of: dict[str, list[str]] = {}
     faces = faces_of.setdefault("", [])
     text = re.sub(r"\\\r?\n", " ", decoded(file.data)).replace("\t", " ")
-    text = text.replace("\r", "\n")
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
     # ten lines of a face: its own, three corners with place, coordinates and normal each
     file.check_counts(text.count("\n") // 10)
     for line in io.StringIO(text):

@@ -7,7 +7,6 @@ import io
 import logging
 import re
 from collections.abc import Iterator
-from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -48,7 +47,7 @@ def trimesh_meshes(file: ModelFile) -> Iterator[Placed]:
         resolver=file,  # type: ignore[arg-type]
         process=False,
     )
-    material_of = cache(partial(_of_collada, file))
+    materials: dict[int, Material] = {}  # the scene keeps what is known by its id
     for node in scene.graph.nodes_geometry:
         model_from_mesh, name = scene.graph[node]
         mesh: Any = scene.geometry[name]
@@ -66,7 +65,9 @@ def trimesh_meshes(file: ModelFile) -> Iterator[Placed]:
                 double_sided=True,
             )
         elif type(given).__name__ == "PBRMaterial":
-            material = material_of(given)
+            if id(given) not in materials:
+                materials[id(given)] = _of_collada(file, given)
+            material = materials[id(given)]
         else:  # trimesh's own grey
             material = plain_material("colours" in rows, double_sided=True)
         yield faces, rows, np.asarray(model_from_mesh, float), material
@@ -78,7 +79,7 @@ def _ply(file: ModelFile) -> tuple[bytes, Texture | None]:
     start, end, body = file.data.partition(b"end_header")
     head = decoded(start)
     named = re.findall(r"(?i)\ncomment\s+TextureFile\s+(.*)", head)
-    head = re.sub(r"(?i)\ncomment\s.*", "", head)
+    head = re.sub(r"(?i)\ncomment\b.*", "", head)
     picture = file.picture(named[0]) if named else None
     texture = None
     if picture is not None and _PLY_UV.search(head):

@@ -186,7 +186,7 @@ def memory(work: Work) -> Items:
         )
     sparse, arrays = zip(*made.values(), strict=True)
     yield Bars(
-        f"step 2, memory of the volumes at {n}³ voxels",
+        f"step 2, memory of the volumes at {[*made][-1]} voxels",
         "a teapot",
         "MB",
         list(made),

@@ -60,6 +60,8 @@ def describe(name: str) -> dict[str, Any]:
     for a name that is neither.
     """
     every = all_sections(parameters())
+    if name in STAGES.broken:
+        raise STAGES.broken[name]
     if name not in every:
         raise ConfigError(
             f"there is no stage or section {name!r}", suggestion(name, every)

@@ -77,7 +77,9 @@ def parameter(name: str, kind: Any = None, **words: Any) -> click.Parameter:
     if isinstance(kind, str):
         kind = _KINDS[kind]
     elif isinstance(kind, (list, tuple)):
-        kind = click.IntRange(*kind) if 1 in kind else click.Choice(kind)
+        kind = (
+            click.IntRange(*kind) if isinstance(kind[0], int) else click.Choice(kind)
+        )
     return made(name.split(), type=kind, **words)
 
 
@@ -171,7 +173,7 @@ def print_table(template: str, words: int = 1, **values: Any) -> None:
         )
     for row in rows[1:]:
         table.add_row(*row) if row else table.add_section()
-    Console(highlight=False).print(table)
+    Console(highlight=False, markup=False).print(table)
 
 
 class Progress:
@@ -195,7 +197,7 @@ class Progress:
             from rich.console import Console
 
             self._bars = progress.Progress(
-                progress.TextColumn("{task.description}"),
+                progress.TextColumn("{task.description}", markup=False),
                 progress.BarColumn(),
                 progress.MofNCompleteColumn(),
                 progress.TimeElapsedColumn(),

@@ -115,6 +115,8 @@ def _report_error(e: BaseException) -> int:
         code = interrupt.exit_code() or 130
         tell(interrupt.cause())
         return code
+    if isinstance(e, SystemExit) and "_ARFX_COMPLETE" in os.environ:
+        return 0 if e.code is None else int(e.code)  # the shell's completion ends so
     if isinstance(e, click.ClickException):
         shown = io.StringIO()
         e.show(shown)

@@ -75,7 +75,8 @@ def test_the_wheel_holds_every_module_and_the_presets(wheel: Path) -> None:
     kinds = (".json", ".toml", ".html", ".jinja", ".vert", ".frag")
     data = [
         p
-        for p in (ROOT / "arfx").rglob("*")
+        for folder in (ROOT / "arfx", ROOT / "cli" / "arfx_cli")
+        for p in folder.rglob("*")
         if p.suffix in kinds and p.name != "ruff.toml"
     ]
     for path in [

@@ -318,3 +318,20 @@ def test_what_is_printed_on_the_way_does_not_spoil_json(
         "lens", "--focal", "50mm", "--fnumber", "2.8", "--distance", "2m", "--json"
     )
     assert r.json["fnumber"] == 2.8 and "hello" in r.err
+
+
+def test_the_shell_completes_without_an_error() -> None:
+    asked = {
+        "_ARFX_COMPLETE": "bash_complete",
+        "COMP_WORDS": "arfx pro",
+        "COMP_CWORD": "1",
+    }
+    done = subprocess.run(
+        [sys.executable, "-m", "arfx_cli"],
+        env={**os.environ, **asked},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "process" in done.stdout

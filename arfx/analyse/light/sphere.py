@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from arfx.core.numerics import normalise
+from arfx.core.sampling import sphere
 
 # how many stand about so far apart
 DEG_32, DEG_16, DEG_8, DEG_4 = 42, 162, 642, 2562
@@ -15,13 +16,8 @@ DEG_32, DEG_16, DEG_8, DEG_4 = 42, 162, 642, 2562
 
 @lru_cache(maxsize=8)
 def even_directions(count: int) -> np.ndarray:
-    """(count, 3) unit vectors on a Fibonacci spiral. Read-only.
-
-    Source: Gonzalez 2010, Measurement of areas on a sphere using Fibonacci lattices."""
-    k = np.arange(count) + 0.5
-    z, azimuth = 1 - 2 * k / count, k * np.pi * (3 - np.sqrt(5))
-    across = np.stack([np.cos(azimuth), np.sin(azimuth)]) * np.sqrt(1 - z * z)
-    out = np.column_stack([*across, z])
+    """(count, 3) unit vectors of `sphere`. Read-only."""
+    out = sphere(count)
     out.setflags(write=False)
     return out
 

@@ -313,8 +313,10 @@ def _match(
     # the frame as the picture is seen; it may be finer than the finest level
     fine = max(int(sides(quad).max() / max(w, h)), 1)
     rows, columns = (length // fine for length in luma.shape)
-    part = luma[: rows * fine, : columns * fine]
-    part = cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA)
+    part = luma
+    if fine > 1:
+        part = luma[: rows * fine, : columns * fine]
+        part = cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA)
     fisheye = camera.model == FISHEYE
     maps = (
         cv2.fisheye.initUndistortRectifyMap

@@ -104,7 +104,7 @@ class MarkerSearch:
         height, width = luma.shape
         if self.frames:
             last = self.frames[-1]
-            _require_size(index, (width, height), last[2:4])
+            _require_size(index, (width, height), (last.width, last.height))
             if index != last.frame + 1 or time_s <= last.time_s:
                 raise InputError(
                     f"frame {index} at {time_s:g} s comes after frame {last.frame} at"
@@ -176,9 +176,9 @@ def frame_size(frames: Sequence[FrameRow]) -> tuple[int, int]:
             "the clip holds no frame",
             "is it empty, or does --start lie behind its end?",
         )
-    size = frames[0][2:4]
+    size = frames[0].width, frames[0].height
     for row in frames:
-        _require_size(row.frame, row[2:4], size)
+        _require_size(row.frame, (row.width, row.height), size)
     return size
 
 

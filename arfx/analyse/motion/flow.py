@@ -140,7 +140,7 @@ def joined_steps(
     before, backs = None, {}
     for picture in pictures:
         if picture.begins and before is not None:
-            found = _back(picture.picture, before, *picture[2:4])
+            found = _back(picture.picture, before, picture.width, picture.height)
             backs[picture.frame] = found[0]
         before = picture.picture
     return [replace(s, back=backs.get(s.index, s.back)) for s in steps]

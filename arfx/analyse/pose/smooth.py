@@ -199,11 +199,12 @@ def blended(
         after,
     )
     share = share[:, None]
+    later = share[..., None]
     turn = rotvec_from_rotation(np.swapaxes(rotation, 1, 2) @ turned)
     return (
         rotation @ rotation_from_rotvec(share * turn),
         (1 - share) * translation + share * moved,
-        covariance + share[..., None] * (covariance_after - covariance),
+        (1 - later) * covariance + later * covariance_after,
     )
 
 

@@ -93,7 +93,12 @@ def _polygon(blades: int) -> None:
 
 def _valid(check: Callable[[Any], object]) -> AfterValidator:
     """Refuses what `check` refuses."""
-    return AfterValidator(lambda value: (check(value), value)[1])
+
+    def checked(value: Any) -> Any:
+        check(value)
+        return value
+
+    return AfterValidator(checked)
 
 
 def _require(right: bool, what: str, value: float) -> None:

@@ -170,6 +170,17 @@ def stamp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]
     compiled._text.cache_clear()
 
 
+def test_the_folder_of_compiled_code_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Somebody may clear caches while a job runs."""
+    gone = tmp_path / "gone"
+    monkeypatch.setattr(compiled, "code_folder", lambda folder: gone)
+    made = function(tmp_path / "f.py", "def f():\n    return 0\n")
+    compiled.CacheLocator(made, str(tmp_path / "f.py")).ensure_cache_path()
+    assert gone.is_dir()
+
+
 def test_code_is_stale_when_what_it_calls_or_holds_has_changed(
     stamp: Callable[..., str],
 ) -> None:

@@ -223,3 +223,9 @@ def test_holes_fill_from_the_side_that_looks_alike() -> None:
     alone[30, 40] = 2.0  # hardly anything known: everything takes it
     np.testing.assert_allclose(fill_holes(alone, guide), 2.0, rtol=1e-5)
     assert fill_holes(depth[::2, ::2], guide).shape == guide.shape
+
+
+def test_a_tiff_that_holds_no_page_is_told_as_that(tmp_path: Path) -> None:
+    (tmp_path / "depth.tiff").write_bytes(b"II*\0" + bytes(60))
+    with pytest.raises(InputError, match="TIFF"):
+        open_depth(tmp_path / "depth.tiff")

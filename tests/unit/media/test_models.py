@@ -227,3 +227,12 @@ def test_a_texture_beyond_the_limit_is_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(InputError, match="8193x1"):
         load_model(tmp_path / "a.obj")
+
+
+def test_a_ply_may_have_an_empty_comment(tmp_path: Path) -> None:
+    mesh = trimesh.creation.box()
+    text = mesh.export(file_type="ply", encoding="ascii").decode()
+    (tmp_path / "a.ply").write_text(
+        text.replace("\nelement vertex", "\ncomment\nelement vertex")
+    )
+    assert load_model(tmp_path / "a.ply").face_count == 12

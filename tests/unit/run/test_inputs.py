@@ -210,6 +210,20 @@ def test_hostile_layouts_are_one_message(tmp_path: Path, text: str) -> None:
     assert "map.toml" in str(e.value) and len(str(e.value)) < 600
 
 
+@pytest.mark.parametrize("w", [0.5, 5.0])
+def test_a_quaternion_that_is_not_unit_is_no_pose(tmp_path: Path, w: float) -> None:
+    quaternion = {"W": w, "X": 0.5, "Y": 0.0, "Z": 0.0}
+    place = {
+        "translation": {"x": 0, "y": 0, "z": 0},
+        "rotation": {"quaternion": quaternion},
+    }
+    (tmp_path / "map.json").write_text(
+        json.dumps({"tags": [{"ID": 3, "pose": place}]})
+    )
+    with pytest.raises(InputError, match="is not a valid pose"):
+        marker_map(job(tmp_path, tmp_path / "map.json"))  # type: ignore[arg-type]
+
+
 def test_what_auto_renders_with_is_chosen_once_and_part_of_the_keys(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
