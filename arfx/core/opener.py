@@ -225,6 +225,6 @@ def _unreadable(path: Path, kind: str, e: OSError | ValueError) -> InputError:
     )
 
 
-def why(e: Exception) -> str:
+def why(e: BaseException) -> str:
     """What the system or FFmpeg says of an error."""
     return getattr(e, "strerror", None) or str(e)

@@ -23,7 +23,7 @@ import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from arfx.core.colour import SRGB
-from arfx.core.opener import read_bytes
+from arfx.core.opener import read_bytes, why
 from arfx.errors import InputError, RenderError
 
 # kind of picture, as in opener.LIMITS -> largest number of pixels
@@ -143,7 +143,7 @@ def _one_channel(data: bytes, path: Path) -> bytes:
 
 def write_failed(path: Path, error: BaseException) -> RenderError:
     """One clear message for a write that failed: full disk, read-only folder, file limit."""
-    reason = getattr(error, "strerror", None) or str(error)
+    reason = why(error)
     return RenderError(
         f"{path} cannot be written: {reason}",
         "is the disk full, or the folder read-only?",

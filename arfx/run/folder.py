@@ -23,6 +23,7 @@ import numpy as np
 import arfx
 from arfx.core.facts import FrameFacts
 from arfx.core.guard import PART, TIMES, Fingerprint, atomic_write, fingerprint
+from arfx.core.opener import why
 from arfx.errors import ConfigError, RenderError
 from arfx.media.frames import Frame
 from arfx.run.lock import HOLDER, LOCK, MARKER
@@ -235,7 +236,7 @@ def write(path: Path, data: str | bytes | Iterable[str]) -> None:
 def disk_error(e: OSError, path: Path) -> RenderError:
     """One clear message for a full disk, a read-only place and the like."""
     return RenderError(
-        f"cannot write {path}: {e.strerror or e}",
+        f"cannot write {path}: {why(e)}",
         "free space or name another place; --resume goes on from there",
     )
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from arfx.core.guard import atomic_write
+from arfx.core.opener import why
 from arfx.errors import ConfigError, RenderError
 
 if TYPE_CHECKING:
@@ -81,11 +82,10 @@ def _acquire(folder: Path, option: str) -> BaseFileLock:
                 f"wait until that is done, or name another with {option}",
             ) from None
         except (FileNotFoundError, FileExistsError) as e:
-            failure = e.strerror or str(
-                e
-            )  # most likely its last holder is just removing it: try again
+            # most likely its last holder is just removing it: try again
+            failure = why(e)
         except OSError as e:
-            failure = e.strerror or str(e)
+            failure = why(e)
             if e.errno not in _NO_LOCKS or isinstance(lock, SoftFileLock):
                 break
             lock = SoftFileLock(folder / MARKER, blocking=False, thread_local=False)

@@ -20,6 +20,7 @@ import numpy as np
 from arfx.core.camera import Camera
 from arfx.core.guard import check_file_name, part_name
 from arfx.core.numerics import divide, normalise
+from arfx.core.opener import why
 from arfx.core.pose import Pose
 from arfx.core.toml_text import to_toml
 from arfx.errors import ConfigError, RenderError
@@ -86,7 +87,7 @@ def make_clip(
         part.rename(folder)
     except OSError as e:
         raise RenderError(
-            f"cannot write {folder}: {e.strerror or e}", "name another place with -o"
+            f"cannot write {folder}: {why(e)}", "name another place with -o"
         ) from None
     finally:
         shutil.rmtree(part, ignore_errors=True)

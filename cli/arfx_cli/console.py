@@ -133,13 +133,18 @@ def detail(message: str) -> None:
         tell(f"  {message}")
 
 
+def asks_for_json() -> bool:
+    """Whether --json asks for the result, in place of words and tables."""
+    return _OUTPUT in click.get_current_context().meta
+
+
 def wrote_json(document: Any) -> bool:
     """Whether --json asks for the result, which is then written."""
     from arfx.core.numerics import finite
 
-    output = click.get_current_context().meta.get(_OUTPUT)
-    if output is None:
+    if not asks_for_json():
         return False
+    output = click.get_current_context().meta[_OUTPUT]
     json.dump(finite(document), output, indent=1)
     output.write("\n")
     return True

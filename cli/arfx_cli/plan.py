@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from arfx_cli.console import (
     Progress,
     arfx_command,
+    asks_for_json,
     detail,
     print_table,
     say,
@@ -40,7 +41,7 @@ def command(**given: Any) -> None:
         with planned_aside(job_config(given), options) as job:
             document = plan_document(job)
     rows = document["stages"]
-    if verbose():
+    if verbose() and asks_for_json():
         document["plans"] = [p.to_json() for p in job.plan.frames]
     if wrote_json(document):
         return

@@ -15,6 +15,7 @@ from typing import Any
 from urllib.parse import quote
 
 from arfx.core.machine import cache_folder
+from arfx.core.opener import why
 from arfx.errors import ArfxError, RenderError
 from arfx.run.cluster.paths import PathMap, is_url, places
 from arfx.run.cluster.spec import library
@@ -197,6 +198,4 @@ def file_system(url: str) -> tuple[Any, str]:
 
 def said(e: BaseException) -> str:
     """An error of fsspec in a line."""
-    return (getattr(e, "strerror", None) or str(e) or type(e).__name__).splitlines()[
-        0
-    ][:300]
+    return (why(e) or type(e).__name__).splitlines()[0][:300]

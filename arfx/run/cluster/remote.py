@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from arfx.core.opener import why
 from arfx.core.parallel import ONE_THREAD
 from arfx.errors import ArfxError, RenderError
 from arfx.media.writer import remove_output
@@ -113,7 +114,7 @@ def _place(job: JobReference) -> str:
     except ArfxError as e:
         return e.message
     except OSError as e:
-        return f"{e.filename or 'a file'}: {e.strerror or e}"
+        return f"{e.filename or 'a file'}: {why(e)}"
     for run in [*_placed][:-_MOST]:
         old = _placed.pop(run)
         if old.store is not None:
