@@ -1,8 +1,7 @@
 """The report of a job: report.json and a self-contained report.html, from a report document
 or from a job folder.
 
-Source of the fields: `arfx.run.summary`. Cost: the pictures dominate, about 30 ms a preview
-and 1 s for the plots."""
+Source of the fields: `arfx.run.summary`. Cost: the pictures dominate, about 30 ms a preview."""
 
 from __future__ import annotations
 
@@ -21,6 +20,7 @@ from arfx.core.numerics import finite
 from arfx.core.opener import read_text, regular
 from arfx.core.pose import Pose
 from arfx.errors import InputError, RenderError
+from arfx.measure.pose_plot import STATUS_COLOUR, pose_plot
 from arfx.run.folder import JobFolder, load_previews, write
 from arfx.run.pages import render
 
@@ -42,8 +42,6 @@ def write_report(
     camera, points_m : with both, (n, 3) world points whose place in the picture is plotted
     before and after smoothing Returns the path of report.html. Raises RenderError where the
     folder cannot be written."""
-    from arfx.measure.plots import STATUS_COLOUR, pose_plot
-
     document = finite(report)
     html = render(
         "measure/report.html",

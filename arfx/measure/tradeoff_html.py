@@ -17,7 +17,8 @@ from matplotlib.figure import Figure
 from arfx.core.cost import Prediction
 from arfx.errors import RenderError
 from arfx.measure.difference import delta_e
-from arfx.measure.plots import INK, PREDICTED, RAW, SMOOTH, png, styled
+from arfx.measure.plots import INK, PREDICTED, png, styled
+from arfx.measure.pose_plot import RAW, SMOOTH
 from arfx.measure.report import write_json
 from arfx.measure.tradeoff import Measurements
 from arfx.measure.tradeoff_pipelines import LEFT_OUT, QUALITIES, Row, front

@@ -7,7 +7,7 @@ keeps its bits."""
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import av
@@ -105,7 +105,8 @@ class Frame:
             )
         shown = self.rect
         turn = self.format.orientation
-        return astuple(turn.coded_rect(rect, shown.width, shown.height))
+        r = turn.coded_rect(rect, shown.width, shown.height)
+        return r.x0, r.y0, r.x1, r.y1
 
     def linear(self, rect: Rect, out: np.ndarray | None = None) -> np.ndarray:
         """(h, w, 3) float32 linear RGB of an upright rectangle; not clipped, so slightly

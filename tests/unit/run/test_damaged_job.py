@@ -17,7 +17,7 @@ from arfx.analyse.tables import from_bytes
 from arfx.config.load import load
 from arfx.core.facts import read_facts
 from arfx.errors import ArfxError, ConfigError, InputError, JobInterruptedError
-from arfx.measure import plots
+from arfx.measure import report as report_pages
 from arfx.measure.report import report_of_job
 from arfx.run import schedule
 from arfx.run.folder import JobFolder
@@ -62,7 +62,7 @@ def run(
 @pytest.fixture
 def no_plot(monkeypatch: pytest.MonkeyPatch) -> None:
     """The plot of poses, most of a report's time, is left out."""
-    monkeypatch.setattr(plots, "pose_plot", lambda *_: "")
+    monkeypatch.setattr(report_pages, "pose_plot", lambda *_: "")
 
 
 @pytest.fixture(scope="module")
