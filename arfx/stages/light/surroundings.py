@@ -13,6 +13,7 @@ Source: docs/methods/gi.md#environment."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -151,13 +152,16 @@ def frame_surroundings(
         else (guess.data, guess.size, plane is None)
     )
 
+    memo = memo_of(scene)
+
     def kept(name: str | None) -> SurroundingParts:
         def make() -> SurroundingParts:
             rgba = None if name is None else seen_map(name, scene)
-            return parts_of(rgba, _guess_of(guess, light), cube_up, plane is not None)
+            cube = memo.get(own, partial(_guess_of, guess, light), "guess", _KEPT)
+            return parts_of(rgba, cube, cube_up, plane is not None)
 
         key = name, own, cube_up.tobytes()
-        found: SurroundingParts = memo_of(scene).get(key, make, "surroundings", _KEPT)
+        found: SurroundingParts = memo.get(key, make, "surroundings", _KEPT)
         return found
 
     mixed = kept(None if seen is None else seen.maps[0])
