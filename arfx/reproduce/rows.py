@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from decimal import Decimal
 from typing import Any, NamedTuple
@@ -145,20 +145,6 @@ class Plot(NamedTuple):
     figure: Any
 
 
-class Bars(NamedTuple):
-    """A plot of a table: a group of bars for each label, a colour for each series (printed,
-    printed method, corrected …).
-
-    item : of a row that speaks of it
-    series : a pair is drawn from its first to its second value, None is left out"""
-
-    item: str
-    title: str
-    unit: str
-    labels: Sequence[str]
-    series: Mapping[str, Sequence[float | tuple[float, float] | None]]
-
-
 @styled
 def curves(
     item: str,
@@ -194,5 +180,5 @@ COLOURS = (
     "#2da44e",
 )  # printed, printed method, corrected, reference
 
-Item = Row | Figure | Plot | Bars
+Item = Row | Figure | Plot
 Items = Iterator[Item]

@@ -22,7 +22,6 @@ from arfx.reproduce.rows import (
 from arfx.reproduce.s2_scene import BALL_M, desk, desk_shot, models, photograph, under
 from arfx.reproduce.work import Shot, Work
 from arfx.stages import STAGES
-from arfx.synth.description import DepthInput
 
 GAUSSIAN = "Gaussian filter of figure 12"
 BRIGHTER = (
@@ -42,38 +41,27 @@ Pictures = dict[str, np.ndarray]
 
 def rows(work: Work) -> Items:
     scene = desk(work)
-    ball, room_model = models(work).values()
+    ball = models(work)["augmented"]
     shot = desk_shot(work, work.clip(scene), ball)
-    made = {**_rendered(shot), REFERENCE: photograph(work)}
+    made = {
+        BEFORE: shot.renderer.image(shot.up_to("composite")),
+        PRINTED: shot.picture(),
+        CORRECTED: under(shot, CORRECTED).picture(),
+        REFERENCE: photograph(work),
+    }
     yield from _diagrams()
-    item = "figure 4"
-    words = "photographs with depth of field"
-    yield row(item, words, (OPEN_LENS, OPEN_LENS), "", NO_CAMERA)
-    title = "bright points spread over what is dark around them"
-    yield Figure(item, title, {REFERENCE: made[REFERENCE]})
-    yield from _coordinates(
-        shot, made[BEFORE], np.array(scene.shot[0].path.position_m)
-    )
+    for item, words in (
+        ("figure 4", "photographs with depth of field"),
+        ("figure 16", "a photograph"),
+    ):
+        yield row(item, words, (OPEN_LENS, OPEN_LENS), "", NO_CAMERA)
+    camera_m = np.array(scene.shot[0].path.position_m)
+    yield from _coordinates(shot, made[BEFORE], camera_m)
     yield from _steps(shot, made)
     points_m = np.array([ball.position_m for ball in scene.sphere[1:]])
     yield from _points(shot, made, points_m)
     yield from _in_focus(shot, made[BEFORE])
     yield from _out_of_focus(shot, made)
-    # no real thing stands before the model
-    bare = scene.model_copy(update={"depth": DepthInput(), "samples": 1})
-    yield Figure(
-        "section 4, all-virtual scene",
-        "nothing of the footage is left: desk, wall and both balls are a model",
-        _rendered(desk_shot(work, work.clip(bare), room_model)),
-    )
-
-
-def _rendered(shot: Shot) -> Pictures:
-    return {
-        BEFORE: shot.renderer.image(shot.up_to("composite")),
-        PRINTED: shot.picture(),
-        CORRECTED: under(shot, CORRECTED).picture(),
-    }
 
 
 def _diagrams() -> Items:
@@ -148,8 +136,9 @@ def _steps(shot: Shot, made: Pictures) -> Items:
         "depth, nearer is brighter": dioptre / dioptre.max(),
         "blur factor a": a,
         "luminance": coded @ yuv_from_rgb("bt601")[0],
+        "figure 10, blurred all over": blurred,
     }
-    yield Figure("figure 6", "textures", textures)
+    yield Figure("figure 6", "what the printed method makes on its way", textures)
     yield row(
         "figure 9",
         "the scene before",
@@ -158,7 +147,6 @@ def _steps(shot: Shot, made: Pictures) -> Items:
         "",
         True,
     )
-    yield Figure("figure 9", "before", {BEFORE: made[BEFORE]})
     apart = _levels(blurred, made[BEFORE])
     yield row(
         "figure 10",
@@ -167,11 +155,6 @@ def _steps(shot: Shot, made: Pictures) -> Items:
         "",
         "nothing was blurred",
         apart > 0.5,
-    )
-    yield Figure(
-        "figure 10",
-        "mean filter and bleeding (8), before the blend",
-        {"printed, blurred all over": blurred},
     )
     sharp, printed, corrected = (
         _levels(made[name], made[REFERENCE]) for name in (BEFORE, PRINTED, CORRECTED)
@@ -203,15 +186,6 @@ def _points(shot: Shot, made: Pictures, points_m: np.ndarray) -> Items:
         "",
         "nothing was spread",
         area[GAUSSIAN] > area[BEFORE],
-    )
-    yield Figure(
-        "figure 12",
-        "the Gaussian filter that the paper compares itself with",
-        {
-            BEFORE: made[BEFORE],
-            "by dof.formula = gaussian": gaussian,
-            REFERENCE: made[REFERENCE],
-        },
     )
     yield row(
         "figure 13",
@@ -270,21 +244,6 @@ def _out_of_focus(shot: Shot, made: Pictures) -> Items:
         f"of its steepness a ball's outline keeps in the photograph: {words[REFERENCE]}."
         " As printed outlines stay, since what stands in front does not flow into what is"
         " behind, and the sharp picture shows through the blend",
-    )
-    y, x = np.array(made[BEFORE].shape[:2])[:, None] * [[0.4, 0.85], [0.1, 0.7]]
-    part = tuple(slice(*of.astype(int)) for of in (y, x))
-    near = {
-        name: np.ascontiguousarray(picture[part]) for name, picture in made.items()
-    }
-    yield Figure(
-        "figure 15",
-        "the same out of focus (the virtual ball has a faint sheen, which the real one"
-        " lacks)",
-        near,
-    )
-    yield row("figure 16", "a photograph", (OPEN_LENS, OPEN_LENS), "", NO_CAMERA)
-    yield Figure(
-        "figure 16", "the same by an open lens", {REFERENCE: near[REFERENCE]}
     )
 
 

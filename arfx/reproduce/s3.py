@@ -19,14 +19,11 @@ from arfx.reproduce.rows import (
     PRINTED,
     Figure,
     Items,
-    Row,
-    curves,
     row,
 )
 from arfx.reproduce.s3_scene import FLAT, OBJECTS, Shown, corrected, printed
 from arfx.reproduce.work import Work, median_s
 from arfx.stages.watercolor.labels import label
-from arfx.stages.watercolor.lines import ALPHA, BETA
 from arfx.stages.watercolor.sites import make_sites, still_field
 from arfx.stages.watercolor.toon import RAMP, tones
 
@@ -51,7 +48,7 @@ def rows(work: Work) -> Items:
     yield from cell_rows(frame)
     yield from depth_rows(frame, work)
     yield from toon_rows(frame)
-    yield from edge_rows(frame, work)
+    yield from edge_rows(frame)
     yield from picture_rows(frame)
     yield from time_rows(frame, work)
 
@@ -87,11 +84,6 @@ def cell_rows(frame: Shown) -> Items:
     own = label(ours, rect).first
     both = ((sites, labels), (ours, own))
 
-    yield _not_stated(
-        "m and n",
-        "settings; 0 = cells of cell_px",
-        "cell_px, for cells of any density",
-    )
     yield row(
         "equation (1), a site in each of m × n rectangles",
         "1",
@@ -101,23 +93,6 @@ def cell_rows(frame: Shown) -> Items:
         " one to a rectangle in the mean alone",
         tolerance=1e-9,
     )
-    yield row(
-        "equation (1), every site in its own cell",
-        "1",
-        [measure.own_cell_share(s) for s, _ in both],
-        "share of sites",
-        tolerance=1e-9,
-    )
-    away = [measure.farthest(s, found) / np.hypot(w, h) for s, found in both]
-    yield row(
-        "equation (1), farthest pixel from its site",
-        "at most 1",
-        away,
-        "diagonal of a rectangle",
-        "",
-        max(away) <= 1,
-    )
-
     item = "figure 2, Voronoi diagram"
     yield row(f"{item}, polygons", str(m * n), len(np.unique(labels)))
     yield row(
@@ -172,26 +147,15 @@ def cell_rows(frame: Shown) -> Items:
 
 def depth_rows(frame: Shown, work: Work) -> Items:
     """3.1.2: the depth buffer decides the cones' size."""
-    depth, by_cones, by_density = measure.areas_on_plane(8, work.scaled(10, 2))
-    area, covered, equal = measure.small_thing(work.scaled(40, 10))
+    depth, areas = measure.areas_on_plane(8, work.scaled(10, 2))
     item = "section 3.1.2, nearer is finer"
     yield row(
         item,
         "nearer is finer",
-        [areas[-1] / areas[0] for areas in (by_cones, by_density)],
+        areas[-1] / areas[0],
         f"area of a cell of a plane at {depth[-1]:.2f} m / at {depth[0]:.2f} m",
         "m × n sites are spread evenly, and the size of cones moves the borders between"
-        " near and far alone: a disc five cells wide, at .25 m before a wall at 2 m, has"
-        f" cells of {area:.2f} of the wall's area, and the wall's cells cover {covered:.0%}"
-        f" of it ({equal:.0%} with equal cones). Corrected: the density of the sites"
-        " follows the depth",
-    )
-    yield curves(
-        item,
-        "cells on a plane",
-        ("depth of the plane, m", "mean area of a cell, px"),
-        depth,
-        {PRINTED: by_cones, CORRECTED: by_density},
+        " near and far alone. Corrected: the density of the sites follows the depth",
     )
     buffer, labels = measure.printed_cells(frame)
     own = measure.corrected_cells(frame)
@@ -207,11 +171,6 @@ def depth_rows(frame: Shown, work: Work) -> Items:
     )
     yield Figure(
         item, "cells by depth", {"depth buffer": buffer, **_templates(labels, own)}
-    )
-    yield _not_stated(
-        "size of a cone by the depth buffer",
-        "in proportion to its value",
-        "depth ^ nearer_finer",
     )
 
 
@@ -229,9 +188,7 @@ def toon_rows(frame: Shown) -> Items:
         paper.toon(one, normal, up, p.toon_thresholds, p.toon_factors)[:, 0],
         tones(cosine, c.toon_thresholds, c.toon_factors),
     )
-    low, high = zip(*(_thresholds(kind, cosine) for kind in kinds), strict=True)
-    why = "the line with the first `if` is missing"
-    yield _not_stated("toon listing, first threshold", high[0], high[1], why)
+    low = [_threshold(kind, cosine) for kind in kinds]
     yield row("toon listing, second threshold", "0.2", low, "n · l")
     for name, text, at in (
         ("first", "1", 1.0),
@@ -269,7 +226,7 @@ def toon_rows(frame: Shown) -> Items:
     yield row(item, "edges that stand out more", words, "", why, min(shares) > smooth)
 
 
-def edge_rows(frame: Shown, work: Work) -> Items:
+def edge_rows(frame: Shown) -> Items:
     """3.2: (2) to (4)."""
     for k, (equation, beta) in enumerate(
         (
@@ -284,24 +241,6 @@ def edge_rows(frame: Shown, work: Work) -> Items:
             unit = "α = β = .5"
             yield row(item, values[k], found, unit, tolerance=2e-4)
     p = printed().params
-    c = corrected().params
-    yield _not_stated("matrix from RGB to YUV", p.yuv, "bt601")
-    yield _not_stated("equation (2), alpha", p.alpha, ALPHA)
-    yield _not_stated("equation (4), beta", p.beta, BETA)
-    yield _not_stated(
-        "equation (4), threshold",
-        p.line_threshold,
-        f"{c.line_low:g} to {c.line_high:g}",
-    )
-    yield row(
-        "equation (4), pixels of an edge that flip",
-        "an edge, or none",
-        measure.flips(work.scaled(12, 4)),
-        "share from frame to frame, noise 2/255, at the worst contrast",
-        "near a hard threshold noise decides; corrected lines come from a smoothed picture,"
-        " with hysteresis and a ramp",
-    )
-
     item = "figure 5, edges of the frame"
     toon_shaded = frame.toon_shaded(printed())
     edges = measure.printed_edges(toon_shaded, p)
@@ -381,36 +320,24 @@ def picture_rows(frame: Shown) -> Items:
 
 def time_rows(frame: Shown, work: Work) -> Items:
     """What sections 2 and 4 say of time."""
-    frames = work.scaled(5, 3)
     # the paper's grain rests on the screen
-    cases: tuple[tuple[str, measure.Settings, measure.Settings], ...] = (
-        ("cells", CELLS_ALONE, FLAT),
-        ("whole picture", {}, {"grain": 0.0}),
+    stages = (printed(), corrected(grain=0.0))
+    frames = work.scaled(5, 3)
+    errors, changes = zip(
+        *(measure.change_at_rest(frame, stage, frames) for stage in stages),
+        strict=True,
     )
-    for name, *settings in cases:
-        still = measure.still_frames(frame, frames, *settings)
-        item = f"section 2, coherence at rest, {name}"
-        unit = "squared error {}, noise 2/255"
-        yield row(
-            item,
-            "good",
-            [measure.mean_squared(made) for made in still],
-            unit.format("between frames"),
-            "new random numbers in every frame; corrected sites are a hash of (seed, cell)",
-        )
-        change = {
-            f"change, {kind}": 8 * abs(made[1] - made[0])
-            for kind, made in zip((PRINTED, CORRECTED), still, strict=True)
-        }
-        yield Figure(item, "change from a frame to the next, × 8", change)
-        yield row(
-            f"section 2, coherence in a pan, {name}",
-            "good",
-            measure.pan_errors(frame.scene, frames, *settings),
-            unit.format("along the motion"),
-            "even fixed on the screen, cells let the picture swim; corrected ones move with the"
-            " things",
-        )
+    item = "section 2, coherence at rest, whole picture"
+    yield row(
+        item,
+        "good",
+        errors,
+        "squared error between frames, noise 2/255",
+        "new random numbers in every frame; corrected sites are a hash of (seed, cell)",
+    )
+    names = f"change, {PRINTED}", f"change, {CORRECTED}"
+    pictures = {name: 8 * change for name, change in zip(names, changes, strict=True)}
+    yield Figure(item, "change from a frame to the next, × 8", pictures)
     rates = [
         1 / median_s(partial(frame.paint_anew, frame.ready(stage)), work.scaled(5, 1))
         for stage in (printed(), corrected())
@@ -426,15 +353,6 @@ def time_rows(frame: Shown, work: Work) -> Items:
     )
 
 
-def _not_stated(
-    item: str,
-    here: float | str,
-    ours: float | str,
-    why: str = "the paper does not say",
-) -> Row:
-    return row(item, "not stated", (here, ours), "", f"{why}: it is a setting")
-
-
 def _templates(labels: np.ndarray, own: np.ndarray) -> dict[str, np.ndarray]:
     """Pictures in which each cell has a colour by chance."""
     colours = np.random.default_rng(2).integers(
@@ -443,11 +361,7 @@ def _templates(labels: np.ndarray, own: np.ndarray) -> dict[str, np.ndarray]:
     return {"cells, printed": colours[labels], "cells, corrected": colours[own]}
 
 
-def _thresholds(tones: np.ndarray, cosine: np.ndarray) -> tuple[float, float]:
-    """Cosines at which the tone is half-way between the lower two and between the upper two
-    of three, to .001.
-    """
-    levels = np.array([tones[0], tones[np.searchsorted(cosine, 0.35)], tones[-1]])
-    at = np.searchsorted(tones, (levels[1:] + levels[:-1]) / 2)
-    first, second = cosine[at].round(3).tolist()
-    return first, second
+def _threshold(tones: np.ndarray, cosine: np.ndarray) -> float:
+    """Cosine at which the tone is half-way between the lower two of three, to .001."""
+    middle = (tones[0] + tones[np.searchsorted(cosine, 0.35)]) / 2
+    return float(cosine[np.searchsorted(tones, middle)].round(3))

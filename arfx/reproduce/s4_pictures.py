@@ -19,7 +19,6 @@ from arfx.reproduce.rows import (
     CORRECTED,
     PRINTED,
     REFERENCE,
-    Bars,
     Figure,
     Items,
     row,
@@ -180,14 +179,3 @@ def rates(work: Work) -> Items:
     words = "voxels in the memory of the graphics card"
     unit = "MB of the whole process"
     yield row("memory", words, (printed.peak_mb, corrected.peak_mb), unit, why)
-    stages = sorted(printed.stage_s | corrected.stage_s)
-    yield Bars(
-        "frame rate",
-        "time of a frame by stage",
-        "ms",
-        stages,
-        {
-            name: [1e3 * t.stage_s.get(stage, 0.0) for stage in stages]
-            for name, t in timed.items()
-        },
-    )
