@@ -1,12 +1,14 @@
 """Rows of Tan, Chen, Sun 2009: illumination from a dynamic light map.
 
-Equations on readings made for it (s1_equations), figures and table 1 on scenes (s1_scenes).
+Equations on readings made for it (s1_equations), figures and table 1 on scenes.
 The reference of a picture is the corrected method at its highest level, told the true
 lamp."""
 
 from __future__ import annotations
 
 from functools import reduce
+from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -15,7 +17,7 @@ from arfx.config.load import merge
 from arfx.core.cube import look_up
 from arfx.core.layers import Layer
 from arfx.core.light import DirectionalLight, Light, triple
-from arfx.core.numerics import angle_between, divide, normalise
+from arfx.core.numerics import angle_between, direction_of, divide, normalise
 from arfx.measure.difference import level_difference
 from arfx.media.models import load_model
 from arfx.papers.s1_light import PrintedLightParams, hemisphere, triangles, upright
@@ -30,9 +32,10 @@ from arfx.reproduce.rows import (
     Items,
     row,
 )
-from arfx.reproduce.s1_scenes import AMBIENT, SITUATIONS, Lamp, turned_card
 from arfx.reproduce.work import AS_PRINTED, DEFAULTS, Settings, Shot, Work
 
+SCENE = Path(__file__).with_name("scenes") / "turned-card.toml"
+KEYS, REST_FRAMES, FPS = 27, 2, 24.0  # of the card: it rests in the last frames
 NO_SHADOW: Settings = {"lightmap": {"shadow_strength": 0.0, "self_shadow": 0.0}}
 METHODS = AS_PRINTED, DEFAULTS
 HEMISPHERE_PX = 320  # a side of its picture
@@ -48,6 +51,22 @@ LUMPS = (
     " light (ρ as brightness); lights are its peaks (9), and what a shadow takes is not"
     " printed"
 )
+
+
+class Lamp(NamedTuple):
+    """Degrees in the room's axes; the card's in its last frames."""
+
+    azimuth_deg: float
+    elevation_deg: float
+    rgb: tuple[float, float, float] = (0.52, 0.5, 0.46)
+
+    @property
+    def towards(self) -> np.ndarray:
+        return direction_of(*np.radians([self.azimuth_deg, self.elevation_deg]))
+
+
+SITUATIONS = (Lamp(200, 48), Lamp(-20, 34))  # of figure 3
+AMBIENT = (0.2, 0.205, 0.22)
 
 
 def rows(work: Work) -> Items:
@@ -260,4 +279,25 @@ def table_1(work: Work) -> Items:
         "frames/s",
         "not every model reaches the printed rate on this machine",
         min(least) >= 8,
+    )
+
+
+def turned_card(
+    lamp: Lamp, size_px: tuple[int, int], frames: int, samples: int = 2
+) -> str:
+    """A scene whose card shows normals on a spiral about the line of sight; first and last
+    it lies level.
+
+    samples : of a pixel, a side"""
+    turning_s = (frames - REST_FRAMES) / FPS
+    return SCENE.read_text(encoding="utf-8").format(
+        width=size_px[0],
+        height=size_px[1],
+        frames=frames,
+        samples=samples,
+        times=[*np.linspace(0, turning_s, KEYS - 1), frames / FPS],
+        ambient=list(AMBIENT),
+        azimuth=lamp.azimuth_deg,
+        elevation=lamp.elevation_deg,
+        rgb=list(lamp.rgb),
     )

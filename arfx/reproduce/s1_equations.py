@@ -4,26 +4,20 @@ readings made here.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from arfx.analyse.light.fit import fit
 from arfx.analyse.light.hypotheses import MEASURED
 from arfx.analyse.light.patches import WHITE
 from arfx.analyse.light.photometry import EXACT, INK, PAPER, Photometry, solve
-from arfx.analyse.params import LightParams
 from arfx.core.light import DirectionalLight, Light, triple
 from arfx.core.numerics import angle_between, direction_of, normalise
 from arfx.papers.s1_gain import brightness, eq6_smallest_vector, gain_and_bias
 from arfx.papers.s1_light import (
     LightMap,
-    Observation,
-    PrintedLightParams,
     eq8_weight,
     eq9_lights,
     hemisphere,
-    lights_of,
     squared_weight,
 )
 from arfx.papers.s1_lightmap import phong
@@ -50,7 +44,7 @@ def rows(work: Work) -> Items:
     yield from equation_1()
     yield from equation_2(work.scaled(60, 10))
     yield from equation_4()
-    yield from equations_5_6(work.scaled(60, 12))
+    yield from equations_5_6()
     yield from equation_7()
     yield from equation_8()
     yield from equation_9()
@@ -153,8 +147,8 @@ def equation_4() -> Items:
         )
 
 
-def equations_5_6(seeds: int) -> Items:
-    """The homogeneous system: its solutions, and under noise."""
+def equations_5_6() -> Items:
+    """The homogeneous system: its solutions."""
     grey, _ = clip(0)
     for item, patches in (
         ("equation (5), one patch", 1),
@@ -170,26 +164,6 @@ def equations_5_6(seeds: int) -> Items:
             "whatever the light does, a patch of one albedo cannot tell g, b and x apart."
             " Corrected: it is said, and b = 0 assumed",
         )
-    rho = np.linspace(0.45, 0.55, 8)
-    found = []
-    solved = []
-    for seed in range(seeds):
-        rng = np.random.default_rng(seed)
-        noisy = rho * rng.uniform(100, 200, (6, 1)) + BIAS + rng.normal(0, 2, (6, 8))
-        found.append(eq6_smallest_vector(noisy, rho).bias)
-        solution = solve(three(noisy), None, rho, tolerances=EXACT)
-        if solution.verdict == MEASURED:
-            solved.append(solution.bias[0])
-    yield row(
-        "equation (6), bias with noise of 2, true 12 of 255, albedos .45 to .55, I up to"
-        " 255",
-        "12",
-        (np.median(found), np.median(solved)),
-        "of 255",
-        "the noise is in the I column alone, so the vector is biased, and by the unit of"
-        " I. Corrected: g = 1, robust least squares, refused in"
-        f" {seeds - len(solved)} of {seeds} clips of 6 frames",
-    )
 
 
 def equation_7() -> Items:
@@ -298,43 +272,6 @@ def equation_9() -> Items:
         "degrees",
         PEAKS,
     )
-    normals = normalise(np.random.default_rng(0).normal(size=(50, 3)))
-    single = sum(len(printed_lights(n, PrintedLightParams())) for n in normals)
-    claimed = (
-        fit(np.tile(normals[0], (20, 1)), np.full((20, 3), 0.6)).verdict == MEASURED
-    )
-    yield row(
-        "equation (9), a marker at rest, 50 normals: lights",
-        "at a peak",
-        (single, int(claimed)),
-        "",
-        "from one normal no direction can be known: the peak is the normal itself."
-        " Corrected: refused, another cue is taken",
-    )
-    five = normalise(
-        np.array([[0, 0, 1.0], [1, 0, 1], [-1, 0, 1], [0, 1, 1], [0, -1, 1]])
-    )
-    yield row(
-        "equation (9), five peaks: lights",
-        "5",
-        (
-            len(printed_lights(five, PrintedLightParams(peak=0.3))),
-            LightParams().most_lights,
-        ),
-        "",
-        "corrected: two lamps at most",
-    )
-
-
-def printed_lights(
-    n: np.ndarray, params: PrintedLightParams
-) -> Sequence[DirectionalLight]:
-    """Of surfaces with normals n (k, 3) or (3,), all of one brightness."""
-    normals = np.atleast_2d(n)
-    seen = Observation(
-        normals, np.full(normals.shape, 0.6), np.full(normals.shape, 1e-6)
-    )
-    return lights_of([seen], params)[0][0].lights
 
 
 def off_deg(found: np.ndarray, lamps: np.ndarray) -> float:

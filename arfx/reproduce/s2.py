@@ -5,7 +5,6 @@ in the order of print.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -27,18 +26,15 @@ from arfx.papers.s2_lens import (
     hyperfocal,
     printed_limits,
 )
-from arfx.reproduce import s2_figures, s2_rates
+from arfx.reproduce import s2_figures
 from arfx.reproduce.rows import COLOURS, Items, Row, curves, row
 from arfx.reproduce.work import Work
-from arfx.stages.dof.aperture import disc
 from arfx.stages.dof.optics import CircleOfConfusion
 
 N, C, F, L = 11.0, 0.035, 200.0, 2500.0  # of the paper's example, mm
 LENS = Lens(F, N, L)
 OTHER = 5000.0
 AT = CircleOfConfusion(1e-3 * LENS.coc_mm_per_dioptre, 1e3 / L, math.inf, 1.0)
-# what fraction of a pixel's light each row of a blur circle gets
-DISC_ROWS = disc(3.0).sum(1)
 L_LESS_F = "(4) and (5) have L where (3) implies L - F"
 
 
@@ -51,7 +47,7 @@ def rows(work: Work) -> Items:
     yield from _blocks()
     yield from _blend()
     yield from s2_figures.rows(work)
-    yield from s2_rates.rows(work)
+    yield from s2_figures.rates(work)
 
 
 def _circle() -> Items:
@@ -193,18 +189,6 @@ def _blur_factor() -> Items:
         "C_near of a plane at 50 mm is so large that all else seems sharp: a depends on"
         " planes that nobody sees",
     )
-    wide = replace(AT, px_per_dioptre=AT.px_per_dioptre * N / 2)
-    place = np.array([1e3 / OTHER])
-    open_a, a = (blur_factor(place, (0.0, 0.5), at)[0] for at in (wide, AT))
-    circles = [circle_of_confusion_mm(OTHER, Lens(F, stop, L)) for stop in (2.0, N)]
-    yield row(
-        "section 3.2, blur at f/2 over that at f/11",
-        "from focal length and f-number",
-        (open_a / a, circles[0] / circles[1]),
-        "",
-        "F and N cancel in a: an open and a closed aperture blur alike, but for the limits"
-        " (4) and (5)",
-    )
 
 
 def _luminance() -> Items:
@@ -234,17 +218,6 @@ def _luminance() -> Items:
         "",
         "",
         math.isclose(result, expected, rel_tol=1e-5),
-    )
-    dot = np.zeros((9, 9, 3), np.float32)
-    dot[4, 4] = 1
-    made = eq8_bleed(dot, np.ones((9, 9), np.float32))[..., 0].sum()
-    yield row(
-        "equation (8), light of one white pixel",
-        1.0,
-        (made, DISC_ROWS.sum()),
-        "white pixels",
-        "each neighbour takes the white pixel's whole value: light is made from nothing,"
-        " and reaches one pixel. A disc keeps it",
     )
 
 
@@ -280,17 +253,6 @@ def _blend() -> Items:
         "equation (9), 80 over 40 with α = 1/4",
         "50",
         eq9_blend(np.array([[0.25]]), over, under)[0, 0, 0],
-    )
-    picture = np.zeros((3, 8, 3))
-    picture[:, 4:] = 1
-    half = eq9_blend(np.full((3, 8), 0.5), np.full_like(picture, 0.5), picture)
-    yield row(
-        "equation (9), sharp edge left at α = 1/2",
-        "weighted mean",
-        (np.abs(np.diff(half[1, :, 0])).max(), DISC_ROWS.max()),
-        "of the step",
-        "half of the edge stays as sharp as before; a disc of 3 px steps by no more than"
-        " one of its rows holds",
     )
     sharp = sharp_range(AT, F, C)
     inside, outside = within_depth_of_field(AT.focus + np.array([0, 0.1]), sharp, 0.5)

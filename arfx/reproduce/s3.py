@@ -1,7 +1,7 @@
 """Rows of Jia, Tang 2013: Voronoi watercolour, in the paper's order.
 
-Both formulas paint the same frame (`s3_scene`). What is not in it (cells on a plane, steps
-of colour, a resting and a panning camera) is made in `s3_measure`."""
+Both formulas paint the same frame. It is made in `s3_measure`, and so is what is not in it:
+cells on a plane, steps of colour, a resting camera."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import numpy as np
 from arfx.core.layers import Layer
 from arfx.papers import s3_watercolor as paper
 from arfx.reproduce import s3_measure as measure
-from arfx.reproduce import s3_scene as scene
 from arfx.reproduce.rows import (
     BEFORE,
     CORRECTED,
@@ -21,7 +20,7 @@ from arfx.reproduce.rows import (
     Items,
     row,
 )
-from arfx.reproduce.s3_scene import FLAT, OBJECTS, Shown, corrected, printed
+from arfx.reproduce.s3_measure import FLAT, OBJECTS, Shown, corrected, printed
 from arfx.reproduce.work import Work, median_s
 from arfx.stages.watercolor.labels import label
 from arfx.stages.watercolor.sites import make_sites, still_field
@@ -43,7 +42,7 @@ STEP_VALUES = {
 
 
 def rows(work: Work) -> Items:
-    frame = scene.shown(work)
+    frame = measure.shown(work)
     yield from frame_rows(frame)
     yield from cell_rows(frame)
     yield from depth_rows(frame, work)
@@ -74,7 +73,7 @@ def frame_rows(frame: Shown) -> Items:
 
 def cell_rows(frame: Shown) -> Items:
     """3.1.1, and 3.1.2 with cones of one size."""
-    rect, (m, n) = frame.layers.rect, scene.cells_of(frame)
+    rect, (m, n) = frame.layers.rect, measure.cells_of(frame)
     w = rect.width / n
     h = rect.height / m
     cell_px = float(np.sqrt(w * h))
@@ -137,7 +136,7 @@ def cell_rows(frame: Shown) -> Items:
         below=0.01,
     )
     made = frame.painted(frame.ready(printed(**CELLS_ALONE)))
-    flat = frame.painted(frame.ready(corrected(cell_px=scene.CELL_PX, **FLAT)))
+    flat = frame.painted(frame.ready(corrected(cell_px=measure.CELL_PX, **FLAT)))
     yield Figure(
         item,
         "cells alone, their size by depth",
@@ -176,8 +175,7 @@ def depth_rows(frame: Shown, work: Work) -> Items:
 
 def toon_rows(frame: Shown) -> Items:
     """3.2: the listing."""
-    p = printed().params
-    c = corrected().params
+    p, c = printed().params, corrected().params
     cosine = np.linspace(-1, 1, 20001)
     normal = np.stack([np.sqrt(1 - cosine**2), 0 * cosine, cosine], -1).astype(
         np.float32
@@ -211,20 +209,6 @@ def toon_rows(frame: Shown) -> Items:
         f"corrected, a step is a ramp of {RAMP:g} in n · l, so that it does not crawl",
     )
 
-    where = np.any(list(frame.objects().values()), axis=0)
-    stages = (printed(), corrected())
-    smooth, *shares = (
-        measure.printed_edges(picture, p)[where].mean()
-        for picture in (frame.image, *map(frame.toon_shaded, stages))
-    )
-    words = [
-        f"{toon:.1%} of the objects' pixels; {smooth:.1%} shaded smoothly"
-        for toon in shares
-    ]
-    item = "section 3.2, toon in place of Gouraud shading"
-    why = "a soft step is no edge"
-    yield row(item, "edges that stand out more", words, "", why, min(shares) > smooth)
-
 
 def edge_rows(frame: Shown) -> Items:
     """3.2: (2) to (4)."""
@@ -240,10 +224,9 @@ def edge_rows(frame: Shown) -> Items:
             item = f"{equation}, {step}"
             unit = "α = β = .5"
             yield row(item, values[k], found, unit, tolerance=2e-4)
-    p = printed().params
     item = "figure 5, edges of the frame"
-    toon_shaded = frame.toon_shaded(printed())
-    edges = measure.printed_edges(toon_shaded, p)
+    toon_shaded = printed().frame(frame.view(printed()))
+    edges = measure.printed_edges(toon_shaded, printed().params)
     lines = measure.corrected_lines(frame)
     why = (
         "what stands before nearly its own colour is below the threshold; corrected, the"

@@ -1,26 +1,148 @@
-"""Measures for the rows of Jia, Tang 2013: cells, edges, and what changes from frame to frame."""
+"""The scene of the rows of Jia, Tang 2013, teapot, cube and rabbit, of one model file, on a
+desk with real things near and far; and measures: cells, edges, and what changes from frame to
+frame.
+
+`Shown` is a frame of the scene with the object in it, before it is painted: what either
+formula's class is given."""
 
 from __future__ import annotations
 
 import itertools
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from scipy import ndimage
 from scipy.spatial import KDTree
 
-from arfx.core.layers import Layer, packed
+from arfx.core.colour import SRGB
+from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer, Layers, packed
+from arfx.core.pixels import Pixels
 from arfx.core.rect import Rect
+from arfx.core.scene import Scene
+from arfx.core.stage import ReadyStage, View
 from arfx.papers import s3_watercolor as paper
-from arfx.papers.s3_watercolor import PrintedWatercolorParams
-from arfx.reproduce.s3_scene import CELL_PX, Shown, cells_of, corrected, printed
+from arfx.papers.s3_watercolor import PrintedWatercolor, PrintedWatercolorParams
+from arfx.reproduce.work import Work
 from arfx.stages.watercolor import Watercolor
 from arfx.stages.watercolor.cells import mean_colours
 from arfx.stages.watercolor.field import frame_field
 from arfx.stages.watercolor.labels import label
 from arfx.stages.watercolor.lines import measure_edges
+from arfx.stages.watercolor.params import WatercolorParams
 from arfx.stages.watercolor.sites import STEPS, Sites, make_sites
+
+CELL_PX = 8
+OBJECTS = ("teapot", "cube", "rabbit")
+SCENE = Path(__file__).with_name("scenes") / "group.toml"
+
+
+class Shown(NamedTuple):
+    """layers : that the watercolour reads, and the objects' numbers, of the whole frame
+    real : (h, w, 3) uint8, the camera's"""
+
+    layers: Layers
+    facts: FrameFacts
+    scene: Scene
+    real: np.ndarray
+
+    @property
+    def image(self) -> np.ndarray:
+        """(h, w, 3) float32 coded: the frame with the objects."""
+        return coded(self.layers[Layer.IMAGE])
+
+    def ready(self, stage: Watercolor) -> ReadyStage:
+        return ReadyStage.of(stage, self.scene, "standard")
+
+    def view(self, stage: Watercolor) -> View:
+        return self.ready(stage).view(self.layers, self.facts)
+
+    def painted(self, ready: ReadyStage) -> np.ndarray:
+        """(h, w, 3) float32 coded. ready : keeps what frames share"""
+        return coded(ready.run(self.layers, self.facts)[Layer.IMAGE])
+
+    def paint_anew(self, ready: ReadyStage) -> None:
+        """For timing."""
+        ready.memo.of_frame.clear()
+        ready.run(self.layers, self.facts)
+
+    def noisy(self, index: int, sigma: float) -> Shown:
+        """The same moment once more, as frame `index` of a resting camera: with other noise."""
+        g = np.random.default_rng(index)
+        noisy = np.clip(self.image + g.normal(0, sigma, self.image.shape), 0, 1)
+        rect = self.layers.rect
+        image = SRGB.decode(noisy).astype(np.float32)
+        layers = Layers(
+            rect, {**self.layers.written, Layer.IMAGE: Pixels(rect, image)}
+        )
+        return self._replace(layers=layers, facts=replace(self.facts, index=index))
+
+    def objects(self) -> dict[str, np.ndarray]:
+        """(h, w) bool of the pixels of each object: the model's parts from left to right."""
+        middle = np.array([p.vertices[:, 0].mean() for p in self.scene.model.parts])
+        place = (middle - middle.min()) / np.ptp(
+            middle
+        )  # teapot, then cube, then rabbit
+        kind = np.append(-1, (place >= 0.5).astype(int) + (place >= 1))
+        number = kind[self.layers[Layer.OBJECT_ID]]
+        return {name: number == k for k, name in enumerate(OBJECTS)}
+
+    def real_outlines(self) -> np.ndarray:
+        """(h, w) bool: pixels that are nearer by a tenth than one beside them, of the real
+        scene beside the objects.
+        """
+        depth = self.layers[Layer.REAL_DEPTH]
+        own = self.layers[Layer.COVERAGE] > 0
+        farther = cv2.dilate(depth, np.ones((3, 3), np.uint8))
+        return (farther > 1.1 * depth) & ~ndimage.binary_dilation(
+            own, np.ones((9, 9))
+        )
+
+
+def coded(linear: np.ndarray | Pixels) -> np.ndarray:
+    """(h, w, 3) float32."""
+    return SRGB.encode(np.clip(np.asarray(linear), 0, 1)).astype(np.float32)
+
+
+def shown(work: Work) -> Shown:
+    """The scene's frame up to the composite, lit by the corrected method: both formulas'
+    classes paint the same picture.
+    """
+    width, height = work.scaled((640, 360), (240, 136))
+    clip = work.clip(
+        SCENE.read_text(encoding="utf-8").format(width=width, height=height)
+    )
+    model = {"file": work.model("group"), "fit": "26cm"}
+    shot = work.shot(clip, {"model": model})
+    layers = shot.renderer.after(shot.up_to("watercolor")[:-1]).view(
+        shot.renderer.window
+    )
+    return Shown(layers, shot.facts, shot.job.scene, shot.renderer.original())
+
+
+def cells_of(shown: Shown) -> tuple[int, int]:
+    """m, n: rows and columns of cells of about CELL_PX."""
+    rect = shown.layers.rect
+    return max(round(rect.height / CELL_PX), 1), max(round(rect.width / CELL_PX), 1)
+
+
+def printed(**settings: Any) -> PrintedWatercolor:
+    return PrintedWatercolor(PrintedWatercolorParams(cell_px=CELL_PX, **settings))
+
+
+def corrected(**settings: Any) -> Watercolor:
+    return Watercolor(WatercolorParams(**settings))
+
+
+EFFECTS = "wash lines lightness deepest edge_darkening flow wobble_px grain"
+# cells alone
+FLAT = {"saturation": 1.0, "toon": False, **dict.fromkeys(EFFECTS.split(), 0.0)}
+
 
 NOISE = 2 / 255
 NEAR_M, FAR_M = 0.35, 2.0  # of the plane on which cells are counted

@@ -22,10 +22,9 @@ from arfx.papers.s4_environment import (
     step3_environment,
     step3_mipmap,
 )
-from arfx.papers.s4_gi import Surfels, wide_cones
 from arfx.reproduce.rows import Items, Row, row
 from arfx.reproduce.s4_pictures import on_the_plane, pictures
-from arfx.reproduce.s4_volumes import N, small, volumes
+from arfx.reproduce.s4_volumes import volumes
 from arfx.reproduce.work import Work
 from arfx.stages.gi.health import seam_ratio
 
@@ -39,7 +38,6 @@ def rows(work: Work) -> Items:
     yield from on_the_plane(work)
     yield from environment()
     yield covered()
-    yield through()
     yield from pictures(work)
 
 
@@ -164,24 +162,4 @@ def covered() -> Row:
         "cones of 60° that cover it would overlap; these are tilted and weighted so that"
         " they leave as much of coarse and fine light as a cosine does",
         share > 0.99,
-    )
-
-
-def through() -> Row:
-    """The environment under a half opaque ceiling."""
-    ceiling = np.argwhere(np.ones((N, N, 1))) + np.array([0, 0, 12])
-    volumes = small(ceiling, 0.5)
-    V = np.zeros((len(volumes.tree.eta), 3), np.float32)
-    up = np.array([[0.0, 0.0, 1.0]])
-    at = Surfels(np.full((1, 3), 8.0), up, -up)
-    environment = step3_mipmap(np.full((6, 8, 8, 3), 0.5))
-    red, _, _, left = wide_cones(volumes, V, at, (environment, np.eye(3)))[0]
-    share = red / (0.5 * left)
-    return row(
-        "step 4, environment through a half opaque ceiling, over what cones let through",
-        "weighted by what the cone hides",
-        share,
-        "",
-        "not weighted so",
-        abs(share - 1) < 1e-3 and left < 0.99,
     )

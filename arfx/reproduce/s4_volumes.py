@@ -9,7 +9,7 @@ import numpy as np
 from arfx.core.numerics import arccos
 from arfx.papers.s4_plane import step1_mesh
 from arfx.papers.s4_shadow_maps import shadow_maps, step2_radiance
-from arfx.papers.s4_volumes import Volumes, octree_of, step2_volumes
+from arfx.papers.s4_volumes import octree_of, step2_volumes
 from arfx.papers.s4_voxels import Volume
 from arfx.reproduce.rows import Items, Row, row
 from arfx.reproduce.s4_scenes import flat_with
@@ -90,15 +90,11 @@ def light(work: Work) -> Items:
     )
 
 
-def small(cells: np.ndarray, alpha: float = 1.0) -> Volumes:
-    """An octree of voxels of one opacity, N a side, seen from everywhere."""
-    cube = Volume(N, (0.0, 0.0, 0.0), 1.0)
-    none = np.zeros((len(cells), 3))
-    return octree_of(cube, cells, none, np.full(len(cells), alpha))
-
-
 def filtering() -> Items:
-    passes = len(small(np.zeros((1, 3), int)).starts)
+    wall = np.argwhere(np.ones((1, N, N))) + np.array([7, 0, 0])
+    cube = Volume(N, (0.0, 0.0, 0.0), 1.0)
+    volumes = octree_of(cube, wall, np.zeros(wall.shape), np.ones(len(wall)))
+    passes = len(volumes.starts)
     yield row(
         "step 2, filter steps of an octree of 5 levels",
         "n - 1",
@@ -107,8 +103,6 @@ def filtering() -> Items:
         "not 4",
         passes == 4,
     )
-    wall = np.argwhere(np.ones((1, N, N))) + np.array([7, 0, 0])
-    volumes = small(wall)
     yield row(
         "step 2, opacity of a wall of one voxel at level 1",
         "mean of the children",
