@@ -200,12 +200,11 @@ def window_of(
     clipped = facts.model_box.clip(whole)
     box = whole if clipped.empty else clipped
     scale = np.sqrt(area_px / whole.area)
-    width = max(round(whole.width * scale), 16)
-    height = max(round(whole.height * scale), 16)
+    width, height = (max(round(s * scale), 16) for s in (whole.width, whole.height))
     # a little of the shadow rather than the top
     cx, cy = (box.x0 + box.x1) // 2, (box.y0 + box.y1) // 2 + box.height // 8
-    x0 = min(max(cx - width // 2, whole.x0), max(whole.x1 - width, whole.x0))
-    y0 = min(max(cy - height // 2, whole.y0), max(whole.y1 - height, whole.y0))
+    x0 = max(min(cx - width // 2, whole.x1 - width), whole.x0)
+    y0 = max(min(cy - height // 2, whole.y1 - height), whole.y0)
     return Rect(x0, y0, x0 + width, y0 + height).clip(whole).clip(frame)
 
 

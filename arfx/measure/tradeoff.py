@@ -127,11 +127,6 @@ class _Work:
             return self.best
         return {**self.usual, name: self.best[name]}
 
-    def usual_levels(self, other: Mapping[str, Stage]) -> dict[str, str]:
-        """Those of the job's quality, or the nearest that these stages have."""
-        stages = self.stages(self.usual, other)
-        return {n: level_named(stages[n].levels, at) for n, at in self.usual.items()}
-
     def slow_s_per_px(self, frame: FrameRenderer, sets: Iterable[Levels]) -> float:
         """Predicted, of the slow steps that these levels take."""
         chains = [frame.chain(levels, self.stages(levels)) for levels in sets]
@@ -221,13 +216,11 @@ def _new_light_fractions(job: Job, names: Sequence[str]) -> dict[str, float]:
     new = {f.index: terms for f, terms in zip(job.facts, met, strict=True)}
     out = {}
     for name in names:
-        terms = {term for term in job.stages[name].terms if term.startswith("new_")}
+        terms = job.stages[name].terms
         runs = [
-            bool(new[p.index] & terms)
-            for p in job.plan.frames
-            if any(s.stage == name for s in p.steps)
+            p.index for p in job.plan.frames if name in {s.stage for s in p.steps}
         ]
-        out[name] = float(np.mean(runs)) if runs else 0.0
+        out[name] = float(np.mean([not new[i].isdisjoint(terms) for i in runs]))
     return out
 
 
@@ -307,14 +300,9 @@ def _measure_flicker(work: _Work, rows: Sequence[Row]) -> None:
         return
     a, b = work.frames[first], work.frames[work.following]
     where = touched((rows[-1].pictures[first], a.original()))
+    plates = a.original(), b.original()
     values = [
-        mean_flicker(
-            work.image(a, r.levels),
-            work.image(b, r.levels),
-            a.original(),
-            b.original(),
-            where,
-        )
+        mean_flicker(*(work.image(f, r.levels) for f in (a, b)), *plates, where)
         for r in rows
     ]
     for r, value in zip(rows, values, strict=True):
@@ -331,13 +319,13 @@ def _location(d: Difference, coverage: np.ndarray) -> str:
 
 
 def _of_other_formula(work: _Work, name: str, other: Mapping[str, Stage]) -> Row:
-    """An effect, or the whole pipeline, under the other formula, at usual levels, against
-    the job's own reference.
+    """An effect, or the whole pipeline, under the other formula, at usual levels or the nearest
+    that its stages have, against the job's own reference.
     """
+    stages = {**work.job.stages, **other}
+    levels = {n: level_named(stages[n].levels, at) for n, at in work.usual.items()}
     formula = next(iter(other.values())).params.formula
-    levels = work.usual_levels(other)
-    level = levels.get(name, "usual")
-    row = Row(name, level, formula, levels=levels, other=other)
+    row = Row(name, levels.get(name, "usual"), formula, levels=levels, other=other)
     _compare(work, [row])
     work.time(row)
     return row

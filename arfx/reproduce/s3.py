@@ -18,6 +18,7 @@ from arfx.reproduce.rows import (
     PRINTED,
     Figure,
     Items,
+    Row,
     row,
 )
 from arfx.reproduce.s3_measure import FLAT, OBJECTS, Shown, corrected, printed
@@ -45,7 +46,7 @@ def rows(work: Work) -> Items:
     frame = measure.shown(work)
     yield from frame_rows(frame)
     yield from cell_rows(frame)
-    yield from depth_rows(frame, work)
+    yield depth_row(work)
     yield from toon_rows(frame)
     yield from edge_rows(frame)
     yield from picture_rows(frame)
@@ -101,17 +102,11 @@ def cell_rows(frame: Shown) -> Items:
         "share of cells that are convex",
         tolerance=1e-9,
     )
-    yield Figure(item, "each cell in a colour by chance", _templates(labels, own))
-    yield row(
-        "section 3.1.2, cones give Voronoi cells",
-        "1",
-        [measure.nearest_share(s, found[:64, :96]) for s, found in both],
-        "share of pixels with the nearest site",
-        tolerance=1e-9,
+    colours = np.random.default_rng(2).integers(
+        60, 250, (len(ours) + m * n, 3), np.uint8
     )
-
-    grey = np.full(frame.image.shape, 0.5, np.float32)
-    _, even = paper.named_by_colour(grey, labels, sites, rect)
+    cells = {PRINTED: colours[labels], CORRECTED: colours[own]}
+    yield Figure(item, "each cell in a colour by chance", cells)
     _, many = paper.named_by_colour(frame.image, labels, sites, rect)
     numbers = len(np.unique(ours.key)) / len(ours)
     yield row(
@@ -119,8 +114,8 @@ def cell_rows(frame: Shown) -> Items:
         "unique",
         (many / (m * n), numbers),
         "names per cell",
-        f"equal colours collide: {m * n} cells have {many} names in the frame and {even} on"
-        " an even picture; corrected: integers",
+        f"equal colours collide: {m * n} cells have {many} names in the frame; corrected:"
+        " integers",
     )
 
     item = "figure 4, cells in their mean colour"
@@ -144,32 +139,17 @@ def cell_rows(frame: Shown) -> Items:
     )
 
 
-def depth_rows(frame: Shown, work: Work) -> Items:
+def depth_row(work: Work) -> Row:
     """3.1.2: the depth buffer decides the cones' size."""
     depth, areas = measure.areas_on_plane(8, work.scaled(10, 2))
-    item = "section 3.1.2, nearer is finer"
-    yield row(
-        item,
+    return row(
+        "section 3.1.2, nearer is finer",
         "nearer is finer",
         areas[-1] / areas[0],
         f"area of a cell of a plane at {depth[-1]:.2f} m / at {depth[0]:.2f} m",
         "m × n sites are spread evenly, and the size of cones moves the borders between"
-        " near and far alone. Corrected: the density of the sites follows the depth",
-    )
-    buffer, labels = measure.printed_cells(frame)
-    own = measure.corrected_cells(frame)
-    shares = [measure.convex_share(found) for found in (labels, own)]
-    item = "section 3.1.2, polygons with cones of many sizes"
-    yield row(
-        item,
-        "convex",
-        shares,
-        "share of cells that are convex",
-        "borders between cones of two sizes are arcs; corrected cells are power cells,"
-        " which are polygons",
-    )
-    yield Figure(
-        item, "cells by depth", {"depth buffer": buffer, **_templates(labels, own)}
+        " near and far alone, which makes them arcs. Corrected: the density of the sites"
+        " follows the depth",
     )
 
 
@@ -334,14 +314,6 @@ def time_rows(frame: Shown, work: Work) -> Items:
         "no rate, size or machine is printed; the values are of the stage alone, at"
         f" {rect.width} × {rect.height} on a processor",
     )
-
-
-def _templates(labels: np.ndarray, own: np.ndarray) -> dict[str, np.ndarray]:
-    """Pictures in which each cell has a colour by chance."""
-    colours = np.random.default_rng(2).integers(
-        60, 250, (int(max(labels.max(), own.max())) + 1, 3), np.uint8
-    )
-    return {"cells, printed": colours[labels], "cells, corrected": colours[own]}
 
 
 def _threshold(tones: np.ndarray, cosine: np.ndarray) -> float:

@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 from scipy import ndimage
-from scipy.spatial import KDTree
 
 from arfx.core.colour import SRGB
 from arfx.core.facts import FrameFacts
@@ -31,11 +30,9 @@ from arfx.papers.s3_watercolor import PrintedWatercolor, PrintedWatercolorParams
 from arfx.reproduce.work import Work
 from arfx.stages.watercolor import Watercolor
 from arfx.stages.watercolor.cells import mean_colours
-from arfx.stages.watercolor.field import frame_field
-from arfx.stages.watercolor.labels import label
 from arfx.stages.watercolor.lines import measure_edges
 from arfx.stages.watercolor.params import WatercolorParams
-from arfx.stages.watercolor.sites import STEPS, Sites, make_sites
+from arfx.stages.watercolor.sites import STEPS, Sites
 
 CELL_PX = 8
 OBJECTS = ("teapot", "cube", "rabbit")
@@ -230,36 +227,6 @@ def convex_share(labels: np.ndarray) -> float:
             hull = convex_hull_image(cell.image, offset_coordinates=False)
             convex.append(hull.sum() <= cell.area)
     return float(np.mean(convex))
-
-
-def printed_cells(shown: Shown) -> tuple[np.ndarray, np.ndarray]:
-    """(depth buffer, labels) (h, w) of a frame."""
-    stage = printed()
-    buffer = paper.depth_buffer(shown.view(stage), stage.params.near_m)
-    return buffer, paper.voronoi(buffer, shown.layers.rect, *cells_of(shown), 1)[1]
-
-
-def corrected_cells(shown: Shown) -> np.ndarray:
-    """(h, w) labels of a frame's background by measured depth, as dense as the printed ones
-    in the mean.
-    """
-    rect = shown.layers.rect
-    strength = corrected().params.nearer_finer
-    real_m = shown.layers[Layer.REAL_DEPTH]
-    field, _ = frame_field(shown.facts, shown.scene, CELL_PX, strength, real_m)
-    return label(make_sites(field, 1, 10**6, CELL_PX), rect).first
-
-
-def nearest_share(sites: Sites, labels: np.ndarray) -> float:
-    """Of the pixels of the picture's corner, those labelled with the site nearest to them."""
-    # of the plane, 1/STEPS px, and so far over it that the nearest to a place of the plane is
-    # the nearest site by its weight
-    points = np.stack([sites.x, sites.y, np.sqrt(-sites.weight)], -1).astype(float)
-    y, x = np.indices(labels.shape) * STEPS
-    places = np.stack([x, y, 0 * x], -1)
-    away, _ = KDTree(points).query(places)
-    own = np.linalg.norm(places - points[labels], axis=-1)
-    return float(np.mean(own <= away + 1e-9))
 
 
 def rectangles_with_site(sites: Sites, rect: Rect, m: int, n: int) -> float:
