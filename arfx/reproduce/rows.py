@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import matplotlib.figure
 import numpy as np
 
+from arfx.measure.difference import level_difference
 from arfx.measure.plots import styled
 
 HOLDS = "holds"
@@ -143,6 +144,18 @@ class Plot(NamedTuple):
     item: str
     title: str
     figure: Any
+
+
+def errors(
+    made: Mapping[str, np.ndarray], before: np.ndarray, least: float
+) -> list[float]:
+    """Mean grey levels of the PRINTED and the CORRECTED picture from REFERENCE, where any of them
+    changes the frame by more than `least`."""
+    on = np.max([level_difference(own, before) for own in made.values()], 0) > least
+    return [
+        float(level_difference(made[REFERENCE], made[name])[on].mean())
+        for name in (PRINTED, CORRECTED)
+    ]
 
 
 @styled

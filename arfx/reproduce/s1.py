@@ -18,7 +18,6 @@ from arfx.core.cube import look_up
 from arfx.core.layers import Layer
 from arfx.core.light import DirectionalLight, Light, triple
 from arfx.core.numerics import angle_between, direction_of, divide, normalise
-from arfx.measure.difference import level_difference
 from arfx.media.models import load_model
 from arfx.papers.s1_light import PrintedLightParams, hemisphere, triangles, upright
 from arfx.papers.s1_lightmap import printed_map
@@ -30,6 +29,7 @@ from arfx.reproduce.rows import (
     REFERENCE,
     Figure,
     Items,
+    errors,
     row,
 )
 from arfx.reproduce.work import AS_PRINTED, DEFAULTS, Settings, Shot, Work
@@ -230,11 +230,7 @@ def pictures(
         REFERENCE: situation.shot(settings, best).picture(),
     }
     before = situation.clip.frames()[situation.last]
-    on = np.max([level_difference(own, before) for own in made.values()], 0) > 2
-    off = [
-        level_difference(made[REFERENCE], made[name])[on].mean()
-        for name in (PRINTED, CORRECTED)
-    ]
+    off = errors(made, before, 2)
     unit = "grey levels from the reference"
     for item, printed in items.items():
         yield row(item, printed, off, unit, LUMPS, below=3)

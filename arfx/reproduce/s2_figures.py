@@ -60,7 +60,7 @@ HERE = (
 
 
 def rows(work: Work) -> Items:
-    scene = desk(work)
+    scene = desk(work, work.scaled(3, 1))
     ball = models(work)["augmented"]
     shot = desk_shot(work, work.clip(scene), ball)
     made = {

@@ -5,8 +5,6 @@ cells on a plane, steps of colour, a resting camera."""
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from arfx.core.layers import Layer
@@ -22,7 +20,7 @@ from arfx.reproduce.rows import (
     row,
 )
 from arfx.reproduce.s3_measure import FLAT, OBJECTS, Shown, corrected, printed
-from arfx.reproduce.work import Work, median_s
+from arfx.reproduce.work import Work
 from arfx.stages.watercolor.labels import label
 from arfx.stages.watercolor.sites import make_sites, still_field
 from arfx.stages.watercolor.toon import RAMP, tones
@@ -130,8 +128,8 @@ def cell_rows(frame: Shown) -> Items:
         "",
         below=0.01,
     )
-    made = frame.painted(frame.ready(printed(**CELLS_ALONE)))
-    flat = frame.painted(frame.ready(corrected(cell_px=measure.CELL_PX, **FLAT)))
+    made = frame.painted(printed(**CELLS_ALONE))
+    flat = frame.painted(corrected(cell_px=measure.CELL_PX, **FLAT))
     yield Figure(
         item,
         "cells alone, their size by depth",
@@ -248,7 +246,7 @@ def picture_rows(frame: Shown) -> Items:
     cells = stage.cells(view, coded)
     edges = measure.printed_edges(coded, stage.params)
     done = np.where(edges[..., None], 0, cells)
-    made = frame.painted(frame.ready(stage))
+    made = frame.painted(stage)
     item = "figure 6, from the frame to the picture"
     apart = 255 * np.abs(done - made).max()
     words = "cells, with the edges over them"
@@ -265,7 +263,7 @@ def picture_rows(frame: Shown) -> Items:
         },
     )
 
-    ours = frame.painted(frame.ready(corrected()))
+    ours = frame.painted(corrected())
     change = [255 * np.abs(a - frame.image).mean() for a in (made, ours)]
     item = "figure 7, watercolour of the frame"
     yield row(
@@ -301,19 +299,6 @@ def time_rows(frame: Shown, work: Work) -> Items:
     names = f"change, {PRINTED}", f"change, {CORRECTED}"
     pictures = {name: 8 * change for name, change in zip(names, changes, strict=True)}
     yield Figure(item, "change from a frame to the next, × 8", pictures)
-    rates = [
-        1 / median_s(partial(frame.paint_anew, frame.ready(stage)), work.scaled(5, 1))
-        for stage in (printed(), corrected())
-    ]
-    rect = frame.layers.rect
-    yield row(
-        "section 2, speed",
-        "real time",
-        rates,
-        "frames/s",
-        "no rate, size or machine is printed; the values are of the stage alone, at"
-        f" {rect.width} × {rect.height} on a processor",
-    )
 
 
 def _threshold(tones: np.ndarray, cosine: np.ndarray) -> float:

@@ -59,14 +59,9 @@ class Shown(NamedTuple):
     def view(self, stage: Watercolor) -> View:
         return self.ready(stage).view(self.layers, self.facts)
 
-    def painted(self, ready: ReadyStage) -> np.ndarray:
-        """(h, w, 3) float32 coded. ready : keeps what frames share"""
-        return coded(ready.run(self.layers, self.facts)[Layer.IMAGE])
-
-    def paint_anew(self, ready: ReadyStage) -> None:
-        """For timing."""
-        ready.memo.of_frame.clear()
-        ready.run(self.layers, self.facts)
+    def painted(self, stage: Watercolor) -> np.ndarray:
+        """(h, w, 3) float32 coded."""
+        return coded(self.ready(stage).run(self.layers, self.facts)[Layer.IMAGE])
 
     def noisy(self, index: int, sigma: float) -> Shown:
         """The same moment once more, as frame `index` of a resting camera: with other noise."""
@@ -184,8 +179,7 @@ def change_at_rest(
 ) -> tuple[float, np.ndarray]:
     """Of a resting, noisy camera: mean squared difference from frame to frame, and that of
     the first two (h, w, 3), coded."""
-    ready = shown.ready(stage)
-    made = [shown.noisy(100 + k, NOISE).painted(ready) for k in range(frames)]
+    made = [shown.noisy(100 + k, NOISE).painted(stage) for k in range(frames)]
     change = np.diff(made, axis=0)
     return float(np.mean(change**2)), abs(change[0])
 

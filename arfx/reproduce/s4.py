@@ -1,7 +1,7 @@
 """Rows of Yao, Tao, Wu 2018: environment map from the one camera and delta voxel cone tracing.
 
-In the order of the paper's four steps, of which 2 is in `s4_volumes`; pictures and rates are
-in `s4_pictures`. The paper prints no table and few numbers: measured
+In the order of the paper's four steps, of which 2 is in `s4_volumes`; pictures are in
+`s4_pictures`. The paper prints no table and few numbers: measured
 is what each of its statements claims."""
 
 from __future__ import annotations

@@ -15,14 +15,14 @@ from arfx.core.colour import SRGB
 from arfx.core.layers import Layer
 from arfx.core.numerics import normalise
 from arfx.core.stage import level_named
-from arfx.measure.difference import difference, touched
+from arfx.measure.difference import TOUCHED
 from arfx.reproduce.rows import (
     BEFORE,
     CORRECTED,
-    PRINTED,
     REFERENCE,
     Figure,
     Items,
+    errors,
     row,
 )
 from arfx.reproduce.s4_scenes import LAMP, flat_scene, methods, room
@@ -73,7 +73,6 @@ def pictures(work: Work) -> Items:
         yield from beside_reference(
             work, item, title, settings, model == "mirror", why
         )
-    yield from rates(work)
 
 
 def on_the_plane(work: Work) -> Items:
@@ -151,42 +150,15 @@ def beside_reference(
     if mirror:
         made[REFERENCE] = mirrored_room(clip, best, made[REFERENCE])
     before = best.renderer.original()
-    where = touched(*((before, picture) for picture in made.values()))
     yield row(
         item,
         title,
-        [
-            difference(made[REFERENCE], made[name], where).mean
-            for name in (PRINTED, CORRECTED)
-        ],
+        errors(made, before, TOUCHED),
         "grey levels from traced rays, mean where anything changes",
         reason,
         below=1,
     )
     yield Figure(item, title, {BEFORE: before, **made})
-
-
-def rates(work: Work) -> Items:
-    """Whole jobs with a teapot."""
-    settings = methods(work, work.scaled("red-teapot", "red-cube"), "13cm", LAMP)
-    clip = room(work)
-    timed = {name: work.timed(clip, given) for name, given in settings.items()}
-    size = f"{clip.scene.clip.width} x {clip.scene.clip.height}"
-    printed, corrected = timed.values()
-    why = (
-        "the paper names real time as its aim, and no rate, picture size or machine; it"
-        " uses a graphics card, here there is none"
-    )
-    yield row(
-        "frame rate",
-        "real time",
-        (printed.frames_per_s, corrected.frames_per_s),
-        f"frames/s at {size}, 64³ voxels",
-        why,
-    )
-    words = "voxels in the memory of the graphics card"
-    unit = "MB of the whole process"
-    yield row("memory", words, (printed.peak_mb, corrected.peak_mb), unit, why)
 
 
 def mirrored_room(clip: Clip, shot: Shot, picture: np.ndarray) -> np.ndarray:
