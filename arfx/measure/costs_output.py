@@ -125,8 +125,8 @@ def _encode(
 def write_clip(path: Path, width: int, height: int, frames: int) -> Path:
     """A textured table with camera noise, swaying as if hand-held. Returns `path`."""
     g = np.random.default_rng(5)
-    table = g.integers(70, 180, (height // 8, width // 8, 3)).astype(np.uint8)
-    table = cv2.resize(table, (width, height), interpolation=cv2.INTER_LINEAR)
+    tiles = g.integers(70, 180, (height // 8, width // 8, 3)).astype(np.uint8)
+    table = cv2.resize(tiles, (width, height))
     noise = g.normal(0, 2, (4, height, width, 3)).astype(np.float32)
     with create_container(path) as out:
         stream: Any = out.add_stream(

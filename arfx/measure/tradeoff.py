@@ -11,7 +11,7 @@ REFERENCE_S together.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
@@ -127,16 +127,6 @@ class _Work:
             return self.best
         return {**self.usual, name: self.best[name]}
 
-    def slow_s_per_px(self, frame: FrameRenderer, sets: Iterable[Levels]) -> float:
-        """Predicted, of the slow steps that these levels take."""
-        chains = [frame.chain(levels, self.stages(levels)) for levels in sets]
-        beginnings = {c[: k + 1] for c in chains for k in range(len(c))}
-        return sum(
-            self.times.predicted(c).seconds / planned(frame, c[-1][0]).area
-            for c in beginnings
-            if self.times.is_slow(c)
-        )
-
 
 def measure(
     job: Job,
@@ -228,13 +218,17 @@ def _choose_windows(
     work: _Work, sets: Sequence[Levels], window_px: int | None
 ) -> None:
     """As `measure` says, and at most MOST_PX."""
-    frames = work.frames
+    frames, first, times = work.frames, work.sampled[0], work.times
     area = float(MOST_PX if window_px is None else window_px)
     if window_px is None:
-        per_px = sum(work.slow_s_per_px(f, sets) for f in frames.values())
-        area = min(
-            area, max(float(divide(REFERENCE_S, per_px, where_zero=area)), LEAST_PX)
+        chains = [first.chain(levels, work.stages(levels)) for levels in sets]
+        steps = {c[: k + 1] for c in chains for k in range(len(c))}
+        per_px = len(frames) * sum(
+            times.predicted(c).seconds / planned(first, c[-1][0]).area
+            for c in filter(times.is_slow, steps)
         )
+        least = float(divide(REFERENCE_S, per_px, where_zero=area))
+        area = min(area, max(least, LEAST_PX))
     for i in frames:
         shown = frames[i - 1] if i == work.following else frames[i]
         window = window_of(shown.plan, shown.facts, work.job.inputs.camera.rect, area)
@@ -302,7 +296,7 @@ def _measure_flicker(work: _Work, rows: Sequence[Row]) -> None:
     where = touched((rows[-1].pictures[first], a.original()))
     plates = a.original(), b.original()
     values = [
-        mean_flicker(*(work.image(f, r.levels) for f in (a, b)), *plates, where)
+        mean_flicker(work.image(a, r.levels), work.image(b, r.levels), *plates, where)
         for r in rows
     ]
     for r, value in zip(rows, values, strict=True):
