@@ -151,15 +151,15 @@ def measure(
     first, names = samples[0].index, steps[samples[0].index]
     flickers = only is None and steps.get(first + 1) == names
     work = _opened(job, [s.index for s in samples], names, flickers)
+    wanted = [n for n in work.usual if only is None or n in only]
     other = {
         n: stage
-        for n in (work.usual if only is None else ())
-        if (stage := under_other_formula(n, job.stages[n].params)) is not None
+        for n in wanted
+        if only is None
+        and (stage := under_other_formula(n, job.stages[n].params)) is not None
     }
-    effects = [n for n in work.usual if len(job.stages[n].levels) > 1 or n in other]
-    if only is not None:
-        effects = [n for n in effects if n in only]
-    compared = effects if only is not None else [PIPELINE, *effects]
+    effects = [n for n in wanted if len(job.stages[n].levels) > 1 or n in other]
+    compared = [*[PIPELINE] * (only is None), *effects]
     _choose_windows(work, [*map(work.reference, compared)], window_px)
     found = Measurements(
         samples, [], [], {i: f.window for i, f in work.frames.items()}
