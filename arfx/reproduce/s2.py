@@ -169,14 +169,6 @@ def _example() -> Items:
 
 def _blur_factor() -> Items:
     """Section 3.2, and what of it is wrong."""
-    a = blur_factor(np.array([0.0, 1e3 / L, 50.0]), (0.1, 2.0), AT)
-    yield row(
-        "section 3.4, range of α",
-        "0 to 1",
-        f"{a.min():g} to {a.max():g}",
-        "",
-        "outside of it",
-    )
     words = "dioptres, 0 to 1 / z_near"
     why = "1 / z has no largest distance: what is infinitely far has a place"
     yield row("section 3.2, depth = z / z_far", "0 to 1", (words, words), "", why)
