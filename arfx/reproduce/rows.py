@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from decimal import Decimal
 from typing import Any, NamedTuple
 
-import matplotlib.figure
 import numpy as np
 
 from arfx.measure.difference import level_difference
-from arfx.measure.plots import styled
 
 HOLDS = "holds"
 DIFFERS = "differs, explained"
@@ -158,26 +156,6 @@ def errors(
     ]
 
 
-@styled
-def curves(
-    item: str,
-    title: str,
-    labels: tuple[str, str],
-    x: np.ndarray,
-    series: Mapping[str, np.ndarray],
-) -> Plot:
-    """A plot of values over x, a colour for each series, from that of the printed method on.
-
-    labels : of the axes"""
-    figure = matplotlib.figure.Figure((7.6, 3.2))
-    axis = figure.subplots()
-    for (name, values), colour in zip(series.items(), COLOURS[1:], strict=False):
-        axis.plot(x, values, label=name, color=colour)
-    axis.set(xlabel=labels[0], ylabel=labels[1], ylim=0)
-    axis.legend()
-    return Plot(item, title, figure)
-
-
 def eight_bit(coded: np.ndarray) -> np.ndarray:
     """(h, w, 3) uint8 of coded values 0..1, of one channel or three; of uint8 as they are."""
     if coded.dtype == np.uint8:
@@ -185,13 +163,6 @@ def eight_bit(coded: np.ndarray) -> np.ndarray:
     out = np.round(255 * np.clip(coded, 0, 1)).astype(np.uint8)
     return out if out.ndim == 3 else np.dstack([out] * 3)
 
-
-COLOURS = (
-    "#8b949e",
-    "#d9822b",
-    "#2f81f7",
-    "#2da44e",
-)  # printed, printed method, corrected, reference
 
 Item = Row | Figure | Plot
 Items = Iterator[Item]

@@ -21,7 +21,7 @@ from arfx.papers.s1_light import (
     squared_weight,
 )
 from arfx.papers.s1_lightmap import phong
-from arfx.reproduce.rows import Items, curves, row
+from arfx.reproduce.rows import Items, row
 from arfx.reproduce.work import Work
 
 BIAS = 12.0  # of 255, in all clips of this module
@@ -199,13 +199,10 @@ def weights(cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def equation_8() -> Items:
     """The weight of a normal."""
-    item = "equation (8), weight at 10 degrees"
-    angles_deg = np.linspace(0, 40, 161)
-    printed, corrected = weights(np.cos(np.radians(angles_deg)))
     yield row(
-        item,
+        "equation (8), weight at 10 degrees",
         "exp(−θ / (2 s²))",
-        (printed[40], corrected[40]),
+        [f[0] for f in weights(np.cos(np.radians([10])))],
         "",
         "the square of a Gaussian is missing in print: the weight has a cusp at 0",
     )
@@ -221,16 +218,6 @@ def equation_8() -> Items:
         "%",
         "the cosine of a cosine is never negative: the condition excludes nothing."
         " Corrected: n·n' > 0",
-    )
-    yield curves(
-        item,
-        "weight of a reading over the angle to its normal",
-        (
-            "angle between a normal and the one that was seen, degrees",
-            f"weight, s = {S_RAD} rad",
-        ),
-        angles_deg,
-        {"printed": printed, "corrected": corrected},
     )
 
 

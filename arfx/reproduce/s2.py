@@ -7,8 +7,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from arfx.core.lens import Lens, circle_of_confusion_mm, depth_of_field
+from arfx.measure.plots import INK, RAW, SMOOTH, styled
 from arfx.papers.s2_dof import (
     blur_factor,
     eq7_circle,
@@ -27,7 +29,7 @@ from arfx.papers.s2_lens import (
     printed_limits,
 )
 from arfx.reproduce import s2_figures
-from arfx.reproduce.rows import COLOURS, Items, Row, curves, row
+from arfx.reproduce.rows import Items, Plot, Row, row
 from arfx.reproduce.work import Work
 from arfx.stages.dof.optics import CircleOfConfusion
 
@@ -154,17 +156,27 @@ def _example() -> Items:
         "",
         apart < 1e-9,
     )
-    plot = curves(
-        "figure 3",
-        "circle of confusion and depth of field: N = 11, F = 200 mm, L = 2500 mm",
-        ("distance, mm; dotted: limits by (4) and (5), and corrected", "mm"),
-        distance,
-        {"circle (3)": circle, "permitted": np.full_like(distance, C)},
+    yield _plot(distance, circle, np.transpose([L - fronts, L + backs]))
+
+
+@styled
+def _plot(distance: np.ndarray, circle: np.ndarray, limits: np.ndarray) -> Plot:
+    """Of figure 3. limits : of what is sharp, as printed and corrected, mm"""
+    figure = Figure((7.6, 3.2))
+    axis = figure.subplots()
+    axis.plot(distance, circle, label="circle (3)", color=RAW)
+    axis.axhline(C, label="permitted", color=INK)
+    for sharp, colour in zip(limits, (RAW, SMOOTH), strict=True):
+        for limit_mm in sharp:
+            axis.axvline(limit_mm, color=colour, ls=":")
+    axis.set(
+        xlabel="distance, mm; dotted: limits by (4) and (5), and corrected",
+        ylabel="mm",
+        ylim=0,
     )
-    for front_mm, back_mm, colour in zip(fronts, backs, COLOURS[2:], strict=True):
-        for limit_mm in (L - front_mm, L + back_mm):
-            plot.figure.axes[0].axvline(limit_mm, color=colour, ls=":")
-    yield plot
+    axis.legend()
+    title = "circle of confusion and depth of field: N = 11, F = 200 mm, L = 2500 mm"
+    return Plot("figure 3", title, figure)
 
 
 def _blur_factor() -> Items:
