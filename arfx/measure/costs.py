@@ -212,10 +212,10 @@ def _time_fast(
     cell: Cell, at: BenchScene, once: Sequence[str], runs: Runs, watch: Stopwatch
 ) -> list[float]:
     """once : terms of what is done once for a new light. Returns as `_time_scene`."""
-    terms, alone, perturbed = cell.terms(), [], _perturbed_light(at)
+    terms, alone, facts_under = cell.terms(), list[float](), _measured_light(at)
 
     def render() -> None:
-        cell.render(perturbed())
+        cell.render(facts_under(at.scene.light))
 
     render()  # compiles, loads, makes what is kept for this light
     runs.add(terms, watch.of_concurrent(render))
@@ -223,15 +223,14 @@ def _time_fast(
         runs.add(terms, watch.of_concurrent(render))
     if SHORT_RUN_S < runs.seconds[-1] < LONG_RUN_S:
         alone.append(watch.of(render) / runs.seconds[-1])
-    ambient = replace(
-        perturbed(), light=Light(ambient_rgb=(0.5, 0.5, 0.5), lights=())
-    )
+    ambient = facts_under(Light((0.5, 0.5, 0.5), ()))
     fewer = cell.terms(ambient)
     if any(fewer[t] != terms[t] for t in cell.stage.terms if t not in once):
         cell.render(ambient)
         runs.add(fewer, watch.of_concurrent(partial(cell.render, ambient)))
     for term in once:
-        seconds = watch.of_concurrent(partial(cell.render, _new_light(at, runs)))
+        new = facts_under(_new_light(len(runs.seconds)))
+        seconds = watch.of_concurrent(partial(cell.render, new))
         runs.add({**terms, term: 1.0}, seconds)
     return alone
 
@@ -269,33 +268,24 @@ def textured_ball(longitudes: int, latitudes: int) -> Model:
 SHAPES = {"ball": ball, "pile": sphere_cluster, "textured": textured_ball}
 
 
-def _new_light(at: BenchScene, runs: Runs) -> FrameFacts:
-    """The scene's facts under a light that was not met before: every call another."""
-    turn = 0.3 + 0.17 * len(runs.seconds)
-    lamp = DirectionalLight(
-        (float(np.cos(turn)), float(np.sin(turn)), 1.3),
-        (0.6 + turn / 50, 0.6, 0.5),
-        4.0,
-    )
-    return replace(
-        _perturbed_light(at)(),
-        light=Light(ambient_rgb=(0.4, 0.4, 0.4 + turn / 90), lights=(lamp,)),
-    )
+def _new_light(number: int) -> Light:
+    """One that was not met before: every number another."""
+    turn = 0.3 + 0.17 * number
+    towards = float(np.cos(turn)), float(np.sin(turn)), 1.3
+    lamp = DirectionalLight(towards, (0.6 + turn / 50, 0.6, 0.5), 4.0)
+    return Light((0.4, 0.4, 0.4 + turn / 90), (lamp,))
 
 
-def _perturbed_light(at: BenchScene) -> Callable[[], FrameFacts]:
-    """The scene's facts, with surroundings as from an analysis and a light that is never
+def _measured_light(at: BenchScene) -> Callable[[Light], FrameFacts]:
+    """The scene's facts under a light, with surroundings as from an analysis. The light is never
     quite the same, as a measured one: what is kept for a light in steps is kept, what is
     made for the very light is made every time."""
     up = face_directions(ENVIRONMENT_SIZE)[..., 2:].clip(0)
     sky = up * np.array([0.5, 0.55, 0.6]) + 0.2
     environment = CubeMap.of(sky, None, np.full(3, 0.3))
-    light, count = (
-        at.scene.light,
-        itertools.count(),
-    )  # threads ask for the next at once
+    count = itertools.count()  # threads ask for the next at once
 
-    def facts() -> FrameFacts:
+    def facts(light: Light) -> FrameFacts:
         red, green, blue = light.ambient_rgb
         ambient = (red * (1 + 1e-6 * next(count)), green, blue)
         perturbed = replace(light, ambient_rgb=ambient)

@@ -9,7 +9,6 @@ import itertools
 import queue
 import tempfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,6 @@ from arfx.media.frame import Frame
 from arfx.media.frames import ClipReader
 from arfx.media.join import join_chunks
 from arfx.media.output import OutputSettings, plan_output
-from arfx.media.planes import copy_picture
 from arfx.media.writer import ChunkWriter, chunk_suffix
 
 SIZES = ((640, 360, 24), (1280, 720, 10))  # width, height, frames
@@ -35,6 +33,8 @@ USUAL = (
     "ffv1",
 )  # encoded twice, and at every size; others at the first alone
 JOINED = "h264"
+EDITED = 6  # frames
+Unused = queue.SimpleQueue[list[Frame]]  # of each thread
 
 
 def time_output(
@@ -46,38 +46,40 @@ def time_output(
         for k, (width, height, count) in enumerate(SIZES):
             clip = write_clip(Path(folder) / f"{width}.mp4", width, height, count)
             info = probe(clip)
-            with ClipReader(info) as reader:
-                frames = list(reader.frames())
-            _edit(timed, info, frames, watch)
+            # a picture belongs to one thread: the library keeps with it what it converts it by
+            unused: Unused = queue.SimpleQueue()
+            for _ in range(watch.concurrency):
+                with ClipReader(info) as reader:
+                    unused.put(list(reader.frames()))
+            _edit(timed, info, unused, watch)
             codecs = USUAL if k else tuple(CODECS)
             for n, codec in enumerate(codecs):
                 progress(k * len(CODECS) + n, total)
                 # a machine without this encoder has no price for it, and a plan says so
                 with contextlib.suppress(ArfxError, av.error.FFmpegError, ValueError):
-                    _encode(timed, Path(folder), info, frames, codec, watch)
+                    _encode(timed, Path(folder), info, unused, codec, watch)
         progress(total, total)
 
 
 def _edit(
-    timed: dict[str, Runs], info: ClipInfo, frames: list[Frame], watch: Stopwatch
+    timed: dict[str, Runs], info: ClipInfo, unused: Unused, watch: Stopwatch
 ) -> None:
     """As in a frame of a job: linear light of a rectangle, then the difference put back
     into the planes.
     """
     width, height = info.width, info.height
-    whole = Rect(0, 0, width, height)
-    for rect in (
-        Rect(width // 3, height // 3, 2 * width // 3, 2 * height // 3),
-        whole,
-    ):
+    middle = Rect(width // 3, height // 3, 2 * width // 3, 2 * height // 3)
+    for rect in (middle, Rect.of(width, height)):
 
         def edit(rect: Rect = rect) -> None:
-            for frame in frames[:6]:
+            own = unused.get()
+            for frame in own[:EDITED]:
                 plate = frame.linear(rect)
                 frame.edited(rect, plate, np.clip(plate * np.float32(0.9), 0, 1))
+            unused.put(own)
 
         edit()
-        seconds = watch.of_concurrent(edit) / len(frames[:6])
+        seconds = watch.of_concurrent(edit) / EDITED
         timed["edit"].add({"frames": 1.0, "mpx": 2 * rect.area / 1e6}, seconds)
 
 
@@ -85,21 +87,15 @@ def _encode(
     timed: dict[str, Runs],
     folder: Path,
     info: ClipInfo,
-    frames: list[Frame],
+    unused: Unused,
     codec: str,
     watch: Stopwatch,
 ) -> None:
     name = f"{codec}-%03d.{codec}" if CODECS[codec].sequence else f"{codec}.mkv"
     plan = plan_output(info, folder / name, OutputSettings(codec))
     paths: list[Path] = []
+    pts: list[int] = []
     number = itertools.count()
-    # a picture belongs to one thread: the library keeps with it what it converts it by
-    unused: queue.SimpleQueue[list[Frame]] = queue.SimpleQueue()
-    for _ in range(watch.concurrency):
-        copies = (copy_picture(f.picture, f.format.layout) for f in frames)
-        unused.put(
-            [replace(f, picture=p) for f, p in zip(frames, copies, strict=True)]
-        )
 
     def encode() -> None:
         path = folder / f"{codec}-{info.width}-{next(number)}{chunk_suffix(plan)}"
@@ -109,26 +105,28 @@ def _encode(
             for frame in own:
                 writer.write(frame)
         unused.put(own)
+        pts[:] = [frame.pts for frame in own]
 
     mpx = info.width * info.height / 1e6
     if codec in USUAL:
         encode()  # loads it
     for _ in range(2 if codec in USUAL else 1):
-        seconds = watch.of_concurrent(encode) / len(frames)
+        seconds = watch.of_concurrent(encode) / len(pts)
         timed[f"encode {codec}"].add({"frames": 1.0, "mpx": mpx}, seconds)
     if codec == JOINED:
-        first = [f.pts for f in frames]
-        step = first[-1] - first[0] + max(first[1] - first[0], 1)
-        pts = [*first, *(p + step for p in first)]
+        step = pts[-1] - pts[0] + max(pts[1] - pts[0], 1)
+        both = [*pts, *(p + step for p in pts)]
         joined = paths[0].with_name("joined.mkv")
-        seconds = watch.of(lambda: join_chunks(paths[:2], pts, plan, info, joined))
-        timed["join"].add({"frames": float(len(pts)), "mpx": len(pts) * mpx}, seconds)
+        seconds = watch.of(lambda: join_chunks(paths[:2], both, plan, info, joined))
+        work = {"frames": float(len(both)), "mpx": len(both) * mpx}
+        timed["join"].add(work, seconds)
 
 
 def write_clip(path: Path, width: int, height: int, frames: int) -> Path:
     """A textured table with camera noise, swaying as if hand-held. Returns `path`."""
     g = np.random.default_rng(5)
-    table = g.integers(70, 180, (height // 8, width // 8, 3)).astype(np.uint8)
+    tiles = g.integers(70, 180, (height // 8, width // 8, 3)).astype(np.uint8)
+    table = cv2.resize(tiles, (width, height))
     noise = g.normal(0, 2, (4, height, width, 3)).astype(np.float32)
     with create_container(path) as out:
         stream: Any = out.add_stream(
@@ -136,16 +134,9 @@ def write_clip(path: Path, width: int, height: int, frames: int) -> Path:
         )
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
         for i in range(frames):
-            t = i / 30
-            middle = (width / 20, height / 20)
-            turn = cv2.getRotationMatrix2D(middle, 15 + 2 * np.sin(t), 10)
-            sway = 0.02 * width * np.sin([0.9 * t, 1.1 * t])
-            move = np.array(turn, float)
-            move[:, 2] += 0.4 * np.array([width, height]) + sway
-            picture = cv2.warpAffine(
-                table, move, (width, height), borderMode=cv2.BORDER_REFLECT
-            )
-            picture = np.clip(picture + noise[i % 4], 0, 255).astype(np.uint8)
+            sway = np.rint(0.02 * width * np.sin([1.1 * i / 30, 0.9 * i / 30]))
+            moved = np.roll(table, sway.astype(int), (0, 1))
+            picture = np.clip(moved + noise[i % 4], 0, 255).astype(np.uint8)
             out.mux(
                 stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24"))
             )

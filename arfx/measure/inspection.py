@@ -46,7 +46,7 @@ class Found:
     """One marker over the samples. sides_px, blurs_px, tilts_deg : one each per sample
     (blur and tilt where measurable)
     quads : all of its sightings, by sample;  counted : samples in which one counts;  sure :
-    one is plain by itself
+    one is plain by itself;  same : a better one in its place
     """
 
     family: str
@@ -57,6 +57,7 @@ class Found:
     quads: dict[int, list[np.ndarray]] = field(default_factory=dict)
     counted: set[int] = field(default_factory=set)
     sure: bool = False
+    same: Found | None = None
     why: str = ""
 
     @property
@@ -196,27 +197,24 @@ def confirmed(found: dict[str, Found]) -> tuple[list[Found], list[Found]]:
     """The markers to trust, most often seen first, under the smallest dictionary that holds
     them; and what is left out, with `why`: what lies in or around a better one, and what is
     neither plain by itself nor in HOLDS_FRAMES samples."""
-    kept, left_out, better = list[Found](), list[Found](), list[Found | None]()
+    kept, left_out = list[Found](), list[Found]()
     for m in sorted(
         found.values(),
         key=lambda m: (-len(m.counted), not m.sure, -len(m.quads), m.family, m.id),
     ):
-        same = next((k for k in kept if _same_place(m, k)), None)
-        if same is None and (m.sure or len(m.counted) >= HOLDS_FRAMES):
-            kept.append(m)
-        else:
-            left_out.append(m)
-            better.append(same)
+        m.same = next((k for k in kept if _same_place(m, k)), None)
+        plain = m.sure or len(m.counted) >= HOLDS_FRAMES
+        (kept if plain and m.same is None else left_out).append(m)
     for some in (kept, left_out):
         highest = {
             m.family: max(k.id for k in some if k.family == m.family) for m in some
         }
         for m in some:
             m.family = smallest_family(m.family, highest[m.family])
-    for m, same in zip(left_out, better, strict=True):
+    for m in left_out:
         m.why = "not plain (white margin, clear cells), and in too few frames"
-        if same is not None:
-            m.why = f"read in the place of {same.key}"
+        if m.same is not None:
+            m.why = f"read in the place of {m.same.key}"
     return kept, left_out
 
 

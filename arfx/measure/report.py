@@ -6,7 +6,6 @@ Source of the fields: `arfx.run.summary`. Cost: the pictures dominate, about 30 
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,14 +14,14 @@ import numpy as np
 
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts, read_facts
-from arfx.core.marker import Marker, MarkerSpec, PatternSpec
 from arfx.core.numerics import finite
 from arfx.core.opener import read_text, regular
 from arfx.core.pose import Pose
-from arfx.errors import InputError, RenderError
+from arfx.errors import ConfigError, InputError, RenderError
 from arfx.measure.pose_plot import STATUS_COLOUR, pose_plot
 from arfx.run.folder import JobFolder, load_previews, write
 from arfx.run.pages import render
+from arfx.run.worker import frozen_job
 
 Pictures = Sequence[tuple[int, np.ndarray, np.ndarray]]
 
@@ -82,6 +81,7 @@ def report_of_job(job: Path, folder: Path) -> Path:
             folder, report, facts, pictures, *_camera_and_cubes(files, report)
         )
     except (
+        ConfigError,
         InputError,
         OSError,
         ArithmeticError,
@@ -91,7 +91,11 @@ def report_of_job(job: Path, folder: Path) -> Path:
         TypeError,
         ValueError,
     ) as e:
-        why = e.message if isinstance(e, InputError) else f"{type(e).__name__}: {e}"
+        why = (
+            e.message
+            if isinstance(e, (ConfigError, InputError))
+            else f"{type(e).__name__}: {e}"
+        )
         raise InputError(
             f"job folder {job} is damaged: {why}", "process the clip again"
         ) from e
@@ -139,12 +143,7 @@ def _camera_and_cubes(
     has a pose.
     """
     camera = Camera.from_json(json.loads(read_text(files.inputs, "report"))["camera"])
-    job = tomllib.loads(read_text(files.job, "job file"))
-    kinds = (("marker", MarkerSpec.parse), ("pattern", PatternSpec.parse))
-    every: list[Marker] = [
-        parse(row["spec"]) for name, parse in kinds for row in job.get(name, [])
-    ]
-    specs = {spec.key: spec for spec in every}
+    specs = {spec.key: spec for spec in frozen_job(files, ()).markers}
     cubes = []
     for key, pose in report["pose"].get("world_from_marker", {}).items():
         if key in specs:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -31,7 +30,6 @@ from arfx.stages import RENDERER
 
 NEAR_PX = 16
 MOST_KEPT = 40
-SLOW_S = 1.0  # a step that took longer is always kept
 Chain = tuple[
     tuple[Stage, str], ...
 ]  # levels in running order; a stage left out is absent
@@ -49,13 +47,11 @@ class PreparedStages:
     prepare_s: dict[tuple[str, str], float] = field(default_factory=dict)
 
     def at(self, stage: Stage, level: str) -> ReadyStage:
+        def prepare() -> None:
+            self.ready[stage, level] = ReadyStage.of(stage, self.scene, level)
+
         if (stage, level) not in self.ready:
-            made = list[ReadyStage]()
-            seconds = PROCESSOR.of(
-                lambda: made.append(ReadyStage.of(stage, self.scene, level))
-            )
-            self.ready[stage, level] = made[0]
-            self.prepare_s[stage.name, level] = seconds
+            self.prepare_s[stage.name, level] = PROCESSOR.of(prepare)
         return self.ready[stage, level]
 
 
@@ -90,7 +86,6 @@ class FrameRenderer:
 
     plate : (h, w, 3) linear, whole frame;  plan : of the job;  stages : of the plan, by name
     window : what is rendered;  real_depth_m : (h, w) whole frame, None = not measured
-    seconds : processor time of the last step of each chain that was rendered
     """
 
     facts: FrameFacts
@@ -102,7 +97,6 @@ class FrameRenderer:
     real_depth_m: np.ndarray | None = None
     rendered: dict[Chain, FrameLayers] = field(default_factory=dict, init=False)
     images: dict[Chain, np.ndarray] = field(default_factory=dict, init=False)
-    seconds: dict[Chain, float] = field(default_factory=dict, init=False)
 
     def chain(
         self, levels: Mapping[str, str], stages: Mapping[str, Stage] | None = None
@@ -135,23 +129,21 @@ class FrameRenderer:
 
     def after(self, chain: Chain) -> FrameLayers:
         """The frame after these steps; those before the last are looked up, or made and kept."""
-        if chain in self.rendered:
-            self.rendered[chain] = self.rendered.pop(chain)  # used last
-            return self.rendered[chain]
+        layers = self.rendered.pop(chain, None) or self._rendered(chain)
+        self.rendered[chain] = layers  # used last
+        if len(self.rendered) > MOST_KEPT:
+            del self.rendered[next(iter(self.rendered))]
+        return layers
+
+    def _rendered(self, chain: Chain) -> FrameLayers:
         layers = FrameLayers(Plate.of(self.plate, self.prepared.scene.camera.rect))
         if chain:
             layers.stored = dict(self.after(chain[:-1]).stored)
-            out = self.out(chain)
-            if not out.empty:
-                render = partial(_render, self.run(chain), out, layers)
-                self.seconds[chain] = PROCESSOR.of(render)
+            run, out = self.run(chain), self.out(chain)
+            for layer, array in ({} if out.empty else run(out)).items():
+                layers.put(layer, array, run.need(out), out)
         elif self.real_depth_m is not None:
             layers.put(Layer.REAL_DEPTH, self.real_depth_m, layers.rect, layers.rect)
-        self.rendered[chain] = layers
-        slow = [c for c, seconds in self.seconds.items() if seconds >= SLOW_S]
-        cheap = [c for c in self.rendered if not any(c[: len(s)] == s for s in slow)]
-        if len(cheap) > MOST_KEPT:
-            del self.rendered[cheap[0]]
         return layers
 
     def out(self, chain: Chain) -> Rect:
@@ -172,11 +164,6 @@ class FrameRenderer:
                 near = need.clip(part.pad(NEAR_PX)) if later in RENDERER else need
                 want = want.union(near)
         return planned[name].clip(want)
-
-
-def _render(run: StageRun, out: Rect, layers: FrameLayers) -> None:
-    for layer, array in run(out).items():
-        layers.put(layer, array, run.need(out), out)
 
 
 def open_frames(job: Job, wanted: Collection[int]) -> dict[int, FrameRenderer]:
@@ -213,12 +200,11 @@ def window_of(
     clipped = facts.model_box.clip(whole)
     box = whole if clipped.empty else clipped
     scale = np.sqrt(area_px / whole.area)
-    width = max(round(whole.width * scale), 16)
-    height = max(round(whole.height * scale), 16)
+    width, height = (max(round(s * scale), 16) for s in (whole.width, whole.height))
     # a little of the shadow rather than the top
     cx, cy = (box.x0 + box.x1) // 2, (box.y0 + box.y1) // 2 + box.height // 8
-    x0 = min(max(cx - width // 2, whole.x0), max(whole.x1 - width, whole.x0))
-    y0 = min(max(cy - height // 2, whole.y0), max(whole.y1 - height, whole.y0))
+    x0 = max(min(cx - width // 2, whole.x1 - width), whole.x0)
+    y0 = max(min(cy - height // 2, whole.y1 - height), whole.y0)
     return Rect(x0, y0, x0 + width, y0 + height).clip(whole).clip(frame)
 
 

@@ -2,8 +2,7 @@
 whole pipelines.
 
 Frames that stand for the clip are rendered: each effect at each of its levels while the
-others stay at their usual one, and whole pipelines, among them those on the way from the
-reference down to the cheapest (tradeoff_pipelines.py). Errors are grey levels and FLIP over
+others stay at their usual one, and whole pipelines. Errors are grey levels and FLIP over
 the pixels that the effect touches; the clip's light, poses and plan are those of the job.
 Times are of whole steps (tradeoff_time.py).
 Cost: the references; the window of the pictures is made so small that they take about
@@ -12,7 +11,7 @@ REFERENCE_S together.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
@@ -20,22 +19,17 @@ from typing import Any
 import cv2
 import numpy as np
 
-from arfx.core.cost import Prediction, sum_independent
+from arfx.core.cost import sum_independent
 from arfx.core.layers import Layer
+from arfx.core.numerics import divide
 from arfx.core.stage import Stage, level_named
 from arfx.core.waiting import Progress
 from arfx.errors import NothingToDoError
 from arfx.measure.difference import Difference, difference, mean_flicker, touched
 from arfx.measure.steps import FrameRenderer, open_frames, window_of
 from arfx.measure.tradeoff_frames import Sample, pick_frames
-from arfx.measure.tradeoff_pipelines import (
-    LEFT_OUT,
-    QUALITIES,
-    Row,
-    level_sets,
-    worth_showing,
-)
-from arfx.measure.tradeoff_time import Times, fast
+from arfx.measure.tradeoff_pipelines import LEFT_OUT, QUALITIES, Row
+from arfx.measure.tradeoff_time import Times, fast, planned
 from arfx.plan.planner import new_terms
 from arfx.run.parameters import stages_of, under_other_formula
 from arfx.run.planned import Job
@@ -110,41 +104,28 @@ class _Work:
     ) -> np.ndarray:
         return frame.image(frame.chain(levels, self.stages(levels, other)))
 
-    def step_time(self, name: str, row: Row) -> Prediction:
-        """Of one step of a frame, upon what those before it make at their usual level."""
-        stages, names = self.stages(row.levels, row.other), list(row.levels)
-        before = [
+    def time(self, row: Row) -> None:
+        """Note what a frame takes: the effect's step, or all of a pipeline. Each step is
+        timed upon what those before it make at their usual level."""
+        stages = self.stages(row.levels, row.other)
+        names = list(row.levels)
+        usual = [
             fast(stages[n], level_named(stages[n].levels, self.usual[n]))
-            for n in names[: names.index(name)]
+            for n in names
         ]
-        return self.times.of(
-            (*before, (stages[name], row.levels[name])), self.sampled
-        )
-
-    def time(self, row: Row) -> Prediction:
-        """Of a frame: the effect's step, or all of a pipeline."""
-        names = row.levels if row.name == PIPELINE else [row.name]
-        return sum_independent(self.step_time(n, row) for n in names)
+        chains = [
+            (*usual[:k], (stages[n], row.levels[n]))
+            for k, n in enumerate(names)
+            if row.name in (n, PIPELINE)
+        ]
+        row.time = sum_independent(map(self.times.of, chains))
+        row.predicted = any(map(self.times.is_slow, chains))
 
     def reference(self, name: str) -> Levels:
         """Of an effect, with all others at their usual level, or of pipelines."""
         if name == PIPELINE:
             return self.best
         return {**self.usual, name: self.best[name]}
-
-    def usual_levels(self, other: Mapping[str, Stage]) -> dict[str, str]:
-        """Those of the job's quality, or the nearest that these stages have."""
-        stages = self.stages(self.usual, other)
-        return {n: level_named(stages[n].levels, at) for n, at in self.usual.items()}
-
-    def slow_s(self, frame: FrameRenderer, sets: Iterable[Levels]) -> np.ndarray:
-        """(2,) seconds by themselves, and for a pixel more, of the slow steps that these
-        levels take and that are not rendered yet.
-        """
-        chains = [frame.chain(levels, self.stages(levels)) for levels in sets]
-        beginnings = {c[: k + 1] for c in chains for k in range(len(c))}
-        slow = filter(self.times.is_slow, beginnings - frame.rendered.keys())
-        return np.sum([(0, 0), *map(self.times.alone_and_per_px, slow)], axis=0)
 
 
 def measure(
@@ -170,15 +151,15 @@ def measure(
     first, names = samples[0].index, steps[samples[0].index]
     flickers = only is None and steps.get(first + 1) == names
     work = _opened(job, [s.index for s in samples], names, flickers)
+    wanted = [n for n in work.usual if only is None or n in only]
     other = {
         n: stage
-        for n in (work.usual if only is None else ())
-        if (stage := under_other_formula(n, job.stages[n].params)) is not None
+        for n in wanted
+        if only is None
+        and (stage := under_other_formula(n, job.stages[n].params)) is not None
     }
-    effects = [n for n in work.usual if len(job.stages[n].levels) > 1 or n in other]
-    if only is not None:
-        effects = [n for n in effects if n in only]
-    compared = effects if only is not None else [PIPELINE, *effects]
+    effects = [n for n in wanted if len(job.stages[n].levels) > 1 or n in other]
+    compared = [*[PIPELINE] * (only is None), *effects]
     _choose_windows(work, [*map(work.reference, compared)], window_px)
     found = Measurements(
         samples, [], [], {i: f.window for i, f in work.frames.items()}
@@ -189,7 +170,7 @@ def measure(
         found.effects += _of_stage(work, name, found)
     if only is None:
         progress("pipelines", len(effects), total)
-        found.pipelines = _pipelines(work, found.effects)
+        found.pipelines = _pipelines(work)
     if other:
         found.effects += [
             _of_other_formula(work, n, {n: s}) for n, s in other.items()
@@ -215,7 +196,7 @@ def _opened(
         following,
         {n: level_named(stages[n].levels, quality) for n in names},
         {n: stages[n].levels[-1] for n in names},
-        Times(whole, _new_light_fractions(job, names)),
+        Times(whole, _new_light_fractions(job, names), job.prices),
     )
 
 
@@ -225,13 +206,11 @@ def _new_light_fractions(job: Job, names: Sequence[str]) -> dict[str, float]:
     new = {f.index: terms for f, terms in zip(job.facts, met, strict=True)}
     out = {}
     for name in names:
-        terms = {term for term in job.stages[name].terms if term.startswith("new_")}
+        terms = job.stages[name].terms
         runs = [
-            bool(new[p.index] & terms)
-            for p in job.plan.frames
-            if any(s.stage == name for s in p.steps)
+            p.index for p in job.plan.frames if name in {s.stage for s in p.steps}
         ]
-        out[name] = float(np.mean(runs)) if runs else 0.0
+        out[name] = float(np.mean([not new[i].isdisjoint(terms) for i in runs]))
     return out
 
 
@@ -239,13 +218,17 @@ def _choose_windows(
     work: _Work, sets: Sequence[Levels], window_px: int | None
 ) -> None:
     """As `measure` says, and at most MOST_PX."""
-    frames = work.frames
+    frames, first, times = work.frames, work.sampled[0], work.times
     area = float(MOST_PX if window_px is None else window_px)
     if window_px is None:
-        alone, per_px = np.sum(
-            [work.slow_s(f, sets) for f in frames.values()], axis=0
+        chains = [first.chain(levels, work.stages(levels)) for levels in sets]
+        steps = {c[: k + 1] for c in chains for k in range(len(c))}
+        per_px = len(frames) * sum(
+            times.predicted(c).seconds / planned(first, c[-1][0]).area
+            for c in filter(times.is_slow, steps)
         )
-        area = min(area, max((REFERENCE_S - alone) / max(per_px, 1e-9), LEAST_PX))
+        least = float(divide(REFERENCE_S, per_px, where_zero=area))
+        area = min(area, max(least, LEAST_PX))
     for i in frames:
         shown = frames[i - 1] if i == work.following else frames[i]
         window = window_of(shown.plan, shown.facts, work.job.inputs.camera.rect, area)
@@ -268,7 +251,7 @@ def _of_stage(work: _Work, name: str, found: Measurements) -> list[Row]:
         rows.insert(0, Row(name, LEFT_OUT, formula, levels=without))
     _compare(work, rows)
     for row in levels:
-        row.time = work.time(row)
+        work.time(row)
     for i in rows[-1].by_frame:
         worst = max(levels[:-1], key=lambda r: r.by_frame[i].p99, default=None)
         if worst is not None:
@@ -311,14 +294,9 @@ def _measure_flicker(work: _Work, rows: Sequence[Row]) -> None:
         return
     a, b = work.frames[first], work.frames[work.following]
     where = touched((rows[-1].pictures[first], a.original()))
+    plates = a.original(), b.original()
     values = [
-        mean_flicker(
-            work.image(a, r.levels),
-            work.image(b, r.levels),
-            a.original(),
-            b.original(),
-            where,
-        )
+        mean_flicker(work.image(a, r.levels), work.image(b, r.levels), *plates, where)
         for r in rows
     ]
     for r, value in zip(rows, values, strict=True):
@@ -335,40 +313,28 @@ def _location(d: Difference, coverage: np.ndarray) -> str:
 
 
 def _of_other_formula(work: _Work, name: str, other: Mapping[str, Stage]) -> Row:
-    """An effect, or the whole pipeline, under the other formula, at usual levels, against
-    the job's own reference.
+    """An effect, or the whole pipeline, under the other formula, at usual levels or the nearest
+    that its stages have, against the job's own reference.
     """
+    stages = {**work.job.stages, **other}
+    levels = {n: level_named(stages[n].levels, at) for n, at in work.usual.items()}
     formula = next(iter(other.values())).params.formula
-    levels = work.usual_levels(other)
-    level = levels.get(name, "usual")
-    row = Row(name, level, formula, levels=levels, other=other)
+    row = Row(name, levels.get(name, "usual"), formula, levels=levels, other=other)
     _compare(work, [row])
-    row.time = work.time(row)
+    work.time(row)
     return row
 
 
-def _pipelines(work: _Work, effects: Sequence[Row]) -> list[Row]:
-    """Pipelines by quality, and those in between that give the least error for each second
-    and whose references take no more than REFERENCE_S."""
-    stages, left_s = work.job.stages, REFERENCE_S
+def _pipelines(work: _Work) -> list[Row]:
+    """Those that have a quality's name, cheapest first."""
+    stages = work.job.stages
     named: dict[tuple[str, ...], Row] = {}
     for quality in QUALITIES:
         levels = {n: level_named(stages[n].levels, quality) for n in work.usual}
-        named.setdefault(
-            tuple(levels.values()), Row(PIPELINE, quality, "", levels=levels)
-        )
+        row = Row(PIPELINE, quality, "", levels=levels)
+        named.setdefault(tuple(levels.values()), row)
     rows = list(named.values())
     _compare(work, rows)
-    mixed = []
-    for levels in level_sets(effects, work.usual):
-        slow = [work.slow_s(f, [levels]) @ (1, f.window.area) for f in work.sampled]
-        seconds = float(np.sum(slow))
-        if levels not in [r.levels for r in rows] and seconds <= left_s:
-            left_s -= seconds
-            mixed.append(Row(PIPELINE, "mixed", "", levels=levels))
-            for frame in work.sampled:
-                work.image(frame, levels)
-    _compare(work, rows + mixed)
-    for r in rows + mixed:
-        r.time = work.time(r)
-    return worth_showing(rows + mixed)
+    for row in rows:
+        work.time(row)
+    return sorted(rows, key=lambda r: r.seconds)

@@ -58,8 +58,7 @@ def page(found: Measurements, document: Mapping[str, Any], quality: int = 90) ->
         effects=found.effects,
         pipelines=found.pipelines,
         quality=quality,
-        pipeline_plot=pipeline_plot,
-        effect_plot=effect_plot,
+        error_plot=error_plot,
         most_different=most_different,
         error_map=error_map,
         delta_e_map=delta_e_map,
@@ -94,64 +93,45 @@ FLOOR = 0.02  # grey levels: what is drawn for none
 
 
 @styled
-def effect_plot(rows: Sequence[Row]) -> bytes:
-    """Mean and 99th percentile of each level of one effect; the other formula's point is a
-    diamond."""
-    fig = Figure((6.4, 3.4))
+def error_plot(rows: Sequence[Row], title: str) -> bytes:
+    """Mean and 99th percentile over the time; those means that no other beats are joined by
+    a line, and the other formula's are diamonds."""
+    fig = Figure((7.2, 3.9))
     axis = fig.subplots()
-    levels = [r for r in rows if r.level != LEFT_OUT and not r.other]
+    own = [r for r in rows if r.level != LEFT_OUT and not r.other]
     other = [r for r in rows if r.other]
-    worst = _points(levels, worst=True)
-    axis.plot(
-        *worst, "o-", color=RAW, ms=5, lw=1, label="99th percentile, worst frame"
-    )
-    axis.plot(*_points(levels), "o-", color=SMOOTH, ms=5, lw=1, label="mean")
-    axis.plot(*_points(other), "D", color=SMOOTH, ms=5)
-    _named(axis, [*levels, *other], (4, -11))
-    return _finished(fig, f"{rows[0].name}: error against its own reference")
-
-
-@styled
-def pipeline_plot(rows: Sequence[Row]) -> bytes:
-    """Whole pipelines, the front of those that no other beats joined by a line."""
-    fig = Figure((7.6, 4.2))
-    axis = fig.subplots()
-    best = _points(front([r for r in rows if not r.other]))
-    axis.plot(*best, "-", color=SMOOTH, lw=1.2, label="Pareto front")
-    named = [r for r in rows if r.level != "mixed"]
-    mixed = [r for r in rows if r.level == "mixed"]
-    axis.plot(*_points([r for r in named if not r.other]), "o", color=SMOOTH, ms=6)
-    axis.plot(*_points([r for r in named if r.other]), "D", color=RAW, ms=6)
-    axis.plot(*_points(mixed), "o", color=PREDICTED, ms=4)
-    _named(axis, named, (5, 5))
-    return _finished(fig, "Whole pipelines against everything at reference")
-
-
-def _points(
-    rows: Sequence[Row], worst: bool = False
-) -> tuple[list[float], list[float]]:
-    """Milliseconds, and grey levels: the mean, or the 99th percentile of the worst frame."""
-    return [1e3 * r.seconds for r in rows], [
-        max(r.worst("p99") if worst else r.average("mean"), FLOOR) for r in rows
-    ]
-
-
-def _named(axis: Any, rows: Sequence[Row], aside: tuple[int, int]) -> None:
-    for r, *at in zip(rows, *_points(rows), strict=True):
+    for some, worst, style, colour, label in (
+        (own, True, "o", RAW, "99th percentile, worst frame"),
+        (own, False, "o", SMOOTH, "mean"),
+        (front(own), False, "-", SMOOTH, "Pareto front"),
+        (other, False, "D", SMOOTH, None),
+    ):
+        points = [_point(r, worst) for r in some]
+        axis.plot(
+            *np.reshape(points, (-1, 2)).T, style, color=colour, ms=5, label=label
+        )
+    for r in [*own, *other]:
         name = f"{r.formula} {r.level}" if r.other else r.level
         axis.annotate(
-            name, at, aside, textcoords="offset points", fontsize=8, color=INK
+            name,
+            _point(r),
+            (4, -11),
+            textcoords="offset points",
+            fontsize=8,
+            color=INK,
         )
-
-
-def _finished(fig: Any, title: str) -> bytes:
-    (axis,) = fig.axes
     axis.axhline(SEEN_MEAN, color=PREDICTED, lw=0.8, ls=":")
     axis.set(xscale="log", yscale="log", title=title)
     axis.set(xlabel="ms per frame, one core", ylabel="grey levels")
     axis.margins(0.12)
     axis.legend(loc="upper right")
     return png(fig)
+
+
+def _point(r: Row, worst: bool = False) -> tuple[float, float]:
+    """Milliseconds, and grey levels: the mean, or the 99th percentile of the worst frame."""
+    error = r.worst("p99") if worst else r.average("mean")
+    return 1e3 * r.seconds, max(error, FLOOR)
 
 
 FEW_PX = 1500
@@ -197,6 +177,7 @@ def _row(r: Row, found: Measurements) -> dict[str, Any]:
         "beaten": r in own and r not in front(own),
         "seconds_per_frame": r.seconds,
         "between_s": [r.time.low_s, r.time.high_s],
+        "predicted": r.predicted,
         "prepare_s": found.prepare_s.get((r.name, r.level)),
         **{what: r.average(what) for what in PER_FRAME},
         "mean_worst": r.worst("mean"),

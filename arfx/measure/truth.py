@@ -52,29 +52,34 @@ def pose_errors(
     projected = np.array([camera.project(pose.apply(corners_m)) for pose in exact])
     error = np.full_like(projected, np.nan)
     shots = np.array([f.shot for f in truth.frames])
-    rotation_deg, position_mm, flips = list[float](), list[float](), 0
+    rows = []
     for i, (estimate, true) in enumerate(zip(estimates, exact, strict=True)):
         if estimate is None:
             continue
         error[i] = camera.project(estimate.apply(corners_m)) - projected[i]
-        off_m = np.linalg.norm(estimate.translation_m - true.translation_m)
-        position_mm.append(float(1e3 * off_m))
-        rotation_deg.append(float(np.degrees(rotation_angle_rad(estimate, true))))
+        off_deg, off_mm = _apart(estimate, true)
         view, normal = normalise(true.translation_m), true.rotation[:, 2]
         twin = 2 * (normal @ view) * view - normal
         mirrored = estimate.rotation[:, 2] @ (twin - normal) > 0
-        flips += bool(mirrored) and rotation_deg[-1] > FLIP_DEG
-    if not rotation_deg:
+        rows.append((off_deg, off_mm, mirrored and off_deg > FLIP_DEG))
+    if not rows:
         return {"frames": 0}
+    rotation_deg, position_mm, flips = np.transpose(rows)
     return {
-        "frames": len(rotation_deg),
+        "frames": len(rows),
         "rotation_deg": quantiles(rotation_deg, median=50, p95=95, max=100),
         "position_mm": quantiles(position_mm, median=50, p95=95, max=100),
         "corner_px": float(np.sqrt(np.nanmean((error**2).sum(-1)))),
         "tremble_px": _jitter(error, shots),
         "lag_frames": _lag(error, projected, shots),
-        "flips": flips,
+        "flips": int(flips.sum()),
     }
+
+
+def _apart(a: Pose, b: Pose) -> tuple[float, float]:
+    """Degrees and millimetres."""
+    off_m = np.linalg.norm(a.translation_m - b.translation_m)
+    return float(np.degrees(rotation_angle_rad(a, b))), float(1e3 * off_m)
 
 
 def quantiles(
@@ -161,13 +166,9 @@ def map_errors(
     room = truth.frames[0].room_from_marker
     out: dict[str, dict[str, float]] = {}
     for k in others:
-        estimate, exact = (
-            mapped @ world_from_marker[k],
-            room[world].inverse() @ room[k],
-        )
-        off = float(np.linalg.norm(estimate.translation_m - exact.translation_m))
-        turned = float(np.degrees(rotation_angle_rad(estimate, exact)))
-        out[k] = {"position_mm": 1e3 * off, "rotation_deg": turned}
+        exact = room[world].inverse() @ room[k]
+        turned_deg, off_mm = _apart(mapped @ world_from_marker[k], exact)
+        out[k] = {"position_mm": off_mm, "rotation_deg": turned_deg}
     worst = {
         f"{figure}_max": max(errors[figure] for errors in out.values())
         for figure in ("position_mm", "rotation_deg")

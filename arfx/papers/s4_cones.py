@@ -3,8 +3,7 @@
 One narrow cone about the mirrored direction, several wide ones over the hemisphere: here six.
 Samples lie half a cone's width apart, on the level whose voxels are as wide as the cone there,
 linear between voxels and between levels. A step of length ds through voxels of side s takes 1 - (1
-- alpha)^(ds / s) of what lies behind; the voxels' radiance counts whole, whatever the step, but for
-`scaled`, which corrects it.
+- alpha)^(ds / s) of what lies behind; the voxels' radiance counts whole, whatever the step.
 
 What V_eta, the volume of normals, is for is not said. Here voxels that face away from a cone's
 start neither send nor hide, or a surface would hide the light from itself; where normals cancel (a
@@ -77,17 +76,14 @@ def cone_trace(
     steps: np.ndarray,
     positions_m: np.ndarray,
     directions: np.ndarray,
-    scaled: bool = False,
 ) -> np.ndarray:
     """(m, k, 4) radiance of V, and share of the background that is left, of cones from positions
     (m, 3), metres, anchor axes, in directions (m, k, 3), unit. V (nodes, 3) float32
-    steps : of `cone_steps`
-    scaled : radiance counts as much as the step's opacity does, however a way is cut into steps
-    """
+    steps : of `cone_steps`"""
     start = volumes.in_voxels(positions_m).astype(np.float32)
     d = np.ascontiguousarray(directions, np.float32)
     parts = parallel_rows(
-        lambda a, b: _cone_trace(volumes.tree, V, steps, start[a:b], d[a:b], scaled),
+        lambda a, b: _cone_trace(volumes.tree, V, steps, start[a:b], d[a:b]),
         len(start),
         least=_FEW,
     )
@@ -96,7 +92,7 @@ def cone_trace(
 
 @kernel(error_model="numpy")
 def _cone_trace(
-    tree: Octree, V, steps, start, directions, scaled
+    tree: Octree, V, steps, start, directions
 ):  # pragma: no cover - compiled
     """`cone_trace` of some. start (m, 3) : voxels"""
     out = np.zeros((start.shape[0], directions.shape[1], 4), np.float32)
@@ -130,11 +126,8 @@ def _cone_trace(
                 if alpha <= 0:
                     continue
                 left = (one - min(alpha, one)) ** exponent
-                weight = (
-                    transmittance * (one - left) / alpha if scaled else transmittance
-                )
                 for channel in range(3):
-                    out[i, c, channel] += weight * seen[channel]
+                    out[i, c, channel] += transmittance * seen[channel]
                 transmittance *= left
                 if transmittance < _DARK:
                     transmittance = np.float32(0)

@@ -79,20 +79,14 @@ class Volumes(NamedTuple):
         return len(self.tree.eta) * (POINTER_BYTES + 4 * channels), dense
 
 
-def step2_mean(
-    leaves: np.ndarray, starts: list[np.ndarray], stored: bool = False
-) -> np.ndarray:
+def step2_mean(leaves: np.ndarray, starts: list[np.ndarray]) -> np.ndarray:
     """(nodes, c) float32 of values (leaves, c): n levels take n - 1 steps, from the lowest upwards.
 
     A voxel is the mean of its eight children, of which the missing ones are empty. Through a wall
-    one voxel thick 1 - 2^-L of the light leaks at level L. stored : the mean of those children that
-    are there: no light leaks, but every surface grows with the level
-    starts : of `Volumes`"""
+    one voxel thick 1 - 2^-L of the light leaks at level L. starts : of `Volumes`"""
     levels: list[np.ndarray] = [leaves.astype(np.float32)]
     for start in starts:
-        below = levels[-1]
-        children = np.diff(start, append=len(below))[:, None] if stored else 8
-        levels.append(np.add.reduceat(below, start) / np.float32(children))
+        levels.append(np.add.reduceat(levels[-1], start) / np.float32(8))
     return np.concatenate(levels[::-1])
 
 
@@ -123,9 +117,8 @@ def octree_of(
     cells: np.ndarray,
     normal: np.ndarray,
     opacity: np.ndarray,
-    stored: bool = False,
 ) -> Volumes:
-    """cells (v, 3) int;  normal (v, 3);  opacity (v,);  stored : of `step2_mean`"""
+    """cells (v, 3) int;  normal (v, 3);  opacity (v,)"""
     code = morton(cells)
     order = np.argsort(code)
     codes = [code[order]]
@@ -143,7 +136,7 @@ def octree_of(
     tree = Octree(
         np.concatenate(first).astype(np.int32),
         np.concatenate(masks[::-1]).astype(np.uint8),
-        step2_mean(leaves, starts, stored),
+        step2_mean(leaves, starts),
         len(starts),
     )
     return Volumes(volume, tree, codes[0], starts)

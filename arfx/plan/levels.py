@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from bisect import bisect_left
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -142,19 +142,6 @@ def by_quality(
         for key, every in options.items()
     }
     return _choice(state, True, "levels named by the quality")
-
-
-def way_down(
-    options: Mapping[ShotStage, Sequence[Option]],
-) -> Iterator[dict[ShotStage, Option]]:
-    """The most expensive levels worth taking, then one step down after another to the
-    cheapest; always the same dict.
-    """
-    state, steps = _start(options)
-    yield state
-    for _, key, option in steps:
-        state[key] = option
-        yield state
 
 
 def _start(

@@ -17,7 +17,6 @@ from arfx.measure.plots import png
 from arfx.measure.tradeoff_html import TIMES, error_map
 from arfx.reproduce import PAPERS
 from arfx.reproduce.rows import (
-    COLOURS,
     CORRECTED,
     PRINTED,
     REFERENCE,
@@ -54,7 +53,6 @@ def reproduce(papers: Sequence[str], folder: Path, work: Work) -> dict[str, Any]
             machine=machine(),
             short=work.short,
             verdicts=VERDICTS,
-            colours=COLOURS,
             text=text,
             captioned=captioned,
             png=png,

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from decimal import Decimal
 from typing import Any, NamedTuple
 
-import matplotlib.figure
 import numpy as np
 
-from arfx.measure.plots import styled
+from arfx.measure.difference import level_difference
 
 HOLDS = "holds"
 DIFFERS = "differs, explained"
@@ -145,38 +144,16 @@ class Plot(NamedTuple):
     figure: Any
 
 
-class Bars(NamedTuple):
-    """A plot of a table: a group of bars for each label, a colour for each series (printed,
-    printed method, corrected …).
-
-    item : of a row that speaks of it
-    series : a pair is drawn from its first to its second value, None is left out"""
-
-    item: str
-    title: str
-    unit: str
-    labels: Sequence[str]
-    series: Mapping[str, Sequence[float | tuple[float, float] | None]]
-
-
-@styled
-def curves(
-    item: str,
-    title: str,
-    labels: tuple[str, str],
-    x: np.ndarray,
-    series: Mapping[str, np.ndarray],
-) -> Plot:
-    """A plot of values over x, a colour for each series, from that of the printed method on.
-
-    labels : of the axes"""
-    figure = matplotlib.figure.Figure((7.6, 3.2))
-    axis = figure.subplots()
-    for (name, values), colour in zip(series.items(), COLOURS[1:], strict=False):
-        axis.plot(x, values, label=name, color=colour)
-    axis.set(xlabel=labels[0], ylabel=labels[1], ylim=0)
-    axis.legend()
-    return Plot(item, title, figure)
+def errors(
+    made: Mapping[str, np.ndarray], before: np.ndarray, least: float
+) -> list[float]:
+    """Mean grey levels of the PRINTED and the CORRECTED picture from REFERENCE, where any of them
+    changes the frame by more than `least`."""
+    on = np.max([level_difference(own, before) for own in made.values()], 0) > least
+    return [
+        float(level_difference(made[REFERENCE], made[name])[on].mean())
+        for name in (PRINTED, CORRECTED)
+    ]
 
 
 def eight_bit(coded: np.ndarray) -> np.ndarray:
@@ -187,12 +164,5 @@ def eight_bit(coded: np.ndarray) -> np.ndarray:
     return out if out.ndim == 3 else np.dstack([out] * 3)
 
 
-COLOURS = (
-    "#8b949e",
-    "#d9822b",
-    "#2f81f7",
-    "#2da44e",
-)  # printed, printed method, corrected, reference
-
-Item = Row | Figure | Plot | Bars
+Item = Row | Figure | Plot
 Items = Iterator[Item]

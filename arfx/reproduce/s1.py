@@ -1,13 +1,14 @@
 """Rows of Tan, Chen, Sun 2009: illumination from a dynamic light map.
 
-Equations on readings made for it (s1_equations), figures and table 1 on scenes (s1_scenes).
+Equations on readings made for it (s1_equations), figures and table 1 on scenes.
 The reference of a picture is the corrected method at its highest level, told the true
 lamp."""
 
 from __future__ import annotations
 
 from functools import reduce
-from typing import Any
+from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -16,8 +17,7 @@ from arfx.config.load import merge
 from arfx.core.cube import look_up
 from arfx.core.layers import Layer
 from arfx.core.light import DirectionalLight, Light, triple
-from arfx.core.numerics import angle_between, divide, normalise
-from arfx.measure.difference import level_difference
+from arfx.core.numerics import angle_between, direction_of, divide, normalise
 from arfx.media.models import load_model
 from arfx.papers.s1_light import PrintedLightParams, hemisphere, triangles, upright
 from arfx.papers.s1_lightmap import printed_map
@@ -27,14 +27,15 @@ from arfx.reproduce.rows import (
     CORRECTED,
     PRINTED,
     REFERENCE,
-    Bars,
     Figure,
     Items,
+    errors,
     row,
 )
-from arfx.reproduce.s1_scenes import AMBIENT, SITUATIONS, Lamp, turned_card
 from arfx.reproduce.work import AS_PRINTED, DEFAULTS, Settings, Shot, Work
 
+SCENE = Path(__file__).with_name("scenes") / "turned-card.toml"
+KEYS, REST_FRAMES, FPS = 27, 2, 24.0  # of the card: it rests in the last frames
 NO_SHADOW: Settings = {"lightmap": {"shadow_strength": 0.0, "self_shadow": 0.0}}
 METHODS = AS_PRINTED, DEFAULTS
 HEMISPHERE_PX = 320  # a side of its picture
@@ -52,27 +53,33 @@ LUMPS = (
 )
 
 
+class Lamp(NamedTuple):
+    """Degrees in the room's axes; the card's in its last frames."""
+
+    azimuth_deg: float
+    elevation_deg: float
+    rgb: tuple[float, float, float] = (0.52, 0.5, 0.46)
+
+    @property
+    def towards(self) -> np.ndarray:
+        return direction_of(*np.radians([self.azimuth_deg, self.elevation_deg]))
+
+
+SITUATIONS = (Lamp(200, 48), Lamp(-20, 34))  # of figure 3
+AMBIENT = (0.2, 0.205, 0.22)
+
+
 def rows(work: Work) -> Items:
     yield from s1_equations.rows(work)
     first, second = (Situation(work, lamp) for lamp in SITUATIONS)
     yield from equation_3(first)
     yield from figure_1(first)
-    what = "shading and shadow"
-    shading = "shading without shadow"
-    stands = "; the teapot stands on the card"
-    shadow = "the shadow of one situation"
-    yield from pictures(
-        first, NO_SHADOW, {"figure 2 (a)": (shading, shading + stands)}
-    )
-    yield from pictures(
-        first,
-        DEFAULTS,
-        {
-            "figure 2 (b)": (what, what + stands),
-            "figure 3 (a)": (shadow, first.words),
-        },
-    )
-    yield from pictures(second, DEFAULTS, {"figure 3 (b)": (shadow, second.words)})
+    words = "shading without shadow"
+    yield from pictures(first, NO_SHADOW, {"figure 2 (a)": words})
+    words = "the shadow of one situation"
+    shading = {"figure 2 (b)": "shading and shadow", "figure 3 (a)": words}
+    yield from pictures(first, DEFAULTS, shading)
+    yield from pictures(second, DEFAULTS, {"figure 3 (b)": words})
     yield from table_1(work)
 
 
@@ -85,8 +92,6 @@ class Situation:
         self.clip = work.clip(turned_card(lamp, size_px, frames))
         self.last = frames - 1
         self.model = model_file(work, work.scaled("teapot", "cube"))
-        azimuth, elevation, _ = lamp
-        self.words = f"lamp at azimuth {azimuth:g}, elevation {elevation:g} degrees"
 
     def shot(self, *settings: Settings) -> Shot:
         merged = reduce(merge, settings, self.model)
@@ -193,31 +198,23 @@ def drawn_hemisphere(
     faces = triangles(level)
     middles = normalise(faces.mean(1))
     turned = faces @ upright(middles[-1]).T
-    upper = middles @ middles[-1] >= 0
-    corners = turned[upper][..., :2] * [1, -1]
+    corners = turned[middles @ middles[-1] >= 0][..., :2] * [1, -1]
     # in 16ths of a pixel
     points = np.round((1 + 0.97 * corners) / 2 * HEMISPHERE_PX * 16).astype(np.int32)
     picture = np.full((HEMISPHERE_PX, HEMISPHERE_PX, 3), 255, np.uint8)
-
-    def border(
-        triangle: np.ndarray, colour: tuple[int, int, int], width: int
-    ) -> None:
-        cv2.polylines(picture, [triangle], True, colour, width, cv2.LINE_AA, 4)
-
     grey = np.clip(divide(M, M.max()), 0, 1) * 255
     for triangle, colour in zip(points, grey.tolist(), strict=True):
         cv2.fillConvexPoly(picture, triangle, colour, cv2.LINE_AA, 4)
-        border(triangle, (90, 90, 110), 1)
-    for d in lights:
-        border(points[(hemisphere(level) @ d).argmax()], (230, 30, 30), 2)
+    nearest = [points[(hemisphere(level) @ d).argmax()] for d in lights]
+    cv2.polylines(picture, nearest, True, (230, 30, 30), 2, cv2.LINE_AA, 4)
     return picture
 
 
 def pictures(
-    situation: Situation, settings: Settings, items: dict[str, tuple[str, str]]
+    situation: Situation, settings: Settings, items: dict[str, str]
 ) -> Items:
     """The last frame by both methods, beside the corrected one at its best, told the true lamp:
-    mean difference where any of them changes the plate. items : what is printed, and title"""
+    mean difference where any of them changes the plate. items : what is printed"""
     lamp = situation.lamp
     scaled = situation.work.scaled
     best = {
@@ -233,33 +230,25 @@ def pictures(
         REFERENCE: situation.shot(settings, best).picture(),
     }
     before = situation.clip.frames()[situation.last]
-    on = np.max([level_difference(own, before) for own in made.values()], 0) > 2
-    off = [
-        level_difference(made[REFERENCE], made[name])[on].mean()
-        for name in (PRINTED, CORRECTED)
-    ]
+    off = errors(made, before, 2)
     unit = "grey levels from the reference"
-    for item, (printed, title) in items.items():
+    for item, printed in items.items():
         yield row(item, printed, off, unit, LUMPS, below=3)
-        yield Figure(item, title, {BEFORE: before, **made})
+    title = f"lamp at azimuth {lamp.azimuth_deg:g}, elevation {lamp.elevation_deg:g} degrees"
+    yield Figure(item, title, {BEFORE: before, **made})
 
 
 def table_1(work: Work) -> Items:
     size_px, frames = work.scaled(((640, 480), 20), ((128, 96), 4))
     clip = work.clip(turned_card(SITUATIONS[0], size_px, frames, samples=1))
-    rates: dict[str, list[Any]] = {
-        "printed": [],
-        "printed method": [],
-        "corrected": [],
-    }
-    memory: dict[str, list[Any]] = {name: [] for name in rates}
+    rates = []
     for name, (faces, (low, high), size_mb) in TABLE_1.items():
         count = load_model(work.model(name)).face_count
         yield row(f"table 1, {name}, faces", str(faces), (count, count))
         model = model_file(work, name)
-        printed, corrected = (work.timed(clip, merge(model, own)) for own in METHODS)
-        fps = printed.frames_per_s, corrected.frames_per_s
-        mb = printed.peak_mb, corrected.peak_mb
+        timed = [work.timed(clip, merge(model, own)) for own in METHODS]
+        fps = [one.frames_per_s for one in timed]
+        rates.append(fps)
         yield row(
             f"table 1, {name}, frame rate",
             f"{low}–{high}",
@@ -273,17 +262,12 @@ def table_1(work: Work) -> Items:
         yield row(
             f"table 1, {name}, memory",
             str(size_mb),
-            mb,
+            [one.peak_mb for one in timed],
             "MB",
-            f"{printed.start_mb:.0f} MB are Python and its libraries before the job;"
+            f"{timed[0].start_mb:.0f} MB are Python and its libraries before the job;"
             " frames that wait for a worker are the rest",
         )
-        for key, rate, size in zip(
-            rates, ((low, high), *fps), (size_mb, *mb), strict=True
-        ):
-            rates[key].append(rate)
-            memory[key].append(size)
-    least = [min(rates[key]) for key in ("printed method", "corrected")]
+    least = np.min(rates, axis=0)
     yield row(
         "section 3, least frame rate",
         "8",
@@ -292,9 +276,24 @@ def table_1(work: Work) -> Items:
         "not every model reaches the printed rate on this machine",
         min(least) >= 8,
     )
-    labels = [f"{name}, {faces:,} faces" for name, (faces, *_) in TABLE_1.items()]
-    item = "table 1, apple"
-    yield Bars(
-        f"{item}, frame rate", "frame rate", "frames per second", labels, rates
+
+
+def turned_card(
+    lamp: Lamp, size_px: tuple[int, int], frames: int, samples: int = 2
+) -> str:
+    """A scene whose card shows normals on a spiral about the line of sight; first and last
+    it lies level.
+
+    samples : of a pixel, a side"""
+    turning_s = (frames - REST_FRAMES) / FPS
+    return SCENE.read_text(encoding="utf-8").format(
+        width=size_px[0],
+        height=size_px[1],
+        frames=frames,
+        samples=samples,
+        times=[*np.linspace(0, turning_s, KEYS - 1), frames / FPS],
+        ambient=list(AMBIENT),
+        azimuth=lamp.azimuth_deg,
+        elevation=lamp.elevation_deg,
+        rgb=list(lamp.rgb),
     )
-    yield Bars(f"{item}, memory", "memory", "MB", labels, memory)

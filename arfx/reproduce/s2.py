@@ -5,13 +5,13 @@ in the order of print.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from arfx.core.lens import Lens, circle_of_confusion_mm, depth_of_field
+from arfx.measure.plots import INK, RAW, SMOOTH, styled
 from arfx.papers.s2_dof import (
-    PrintedDofParams,
     blur_factor,
     eq7_circle,
     eq8_bleed,
@@ -28,18 +28,15 @@ from arfx.papers.s2_lens import (
     hyperfocal,
     printed_limits,
 )
-from arfx.reproduce import s2_figures, s2_rates
-from arfx.reproduce.rows import COLOURS, Items, Row, curves, row
+from arfx.reproduce import s2_figures
+from arfx.reproduce.rows import Items, Plot, Row, row
 from arfx.reproduce.work import Work
-from arfx.stages.dof.aperture import disc
 from arfx.stages.dof.optics import CircleOfConfusion
 
 N, C, F, L = 11.0, 0.035, 200.0, 2500.0  # of the paper's example, mm
 LENS = Lens(F, N, L)
 OTHER = 5000.0
 AT = CircleOfConfusion(1e-3 * LENS.coc_mm_per_dioptre, 1e3 / L, math.inf, 1.0)
-# what fraction of a pixel's light each row of a blur circle gets
-DISC_ROWS = disc(3.0).sum(1)
 L_LESS_F = "(4) and (5) have L where (3) implies L - F"
 
 
@@ -52,7 +49,7 @@ def rows(work: Work) -> Items:
     yield from _blocks()
     yield from _blend()
     yield from s2_figures.rows(work)
-    yield from s2_rates.rows(work)
+    yield from s2_figures.rates(work)
 
 
 def _circle() -> Items:
@@ -68,44 +65,34 @@ def _circle() -> Items:
     yield _same("equation (2)", "1/f = 1/u + 1/v", picture, infinite * L / (F / N))
     yield _same("equation (3)", "C = F²/(U_A - F) |U_B - U_A|/(N U_B)", third, true)
     yield _same("equation (7)", "C = F²/(U - F) |L - U|/(N L)", seventh, true)
-    item = "equation (3), infinitely far"
-    far = eq3_circle(F, N, L, 1e12)
-    yield _same(item, "F²/(N (U_A - F))", far, infinite, 1e-6)
 
 
-def _same(
-    item: str, printed: str, value: float, other: float, within: float = 1e-9
-) -> Row:
-    """Two lengths, mm. within : as a fraction"""
-    same = math.isclose(value, other, rel_tol=within)
+def _same(item: str, printed: str, value: float, other: float) -> Row:
+    """Two lengths, mm."""
+    same = math.isclose(value, other, rel_tol=1e-9)
     return row(item, printed, (value, other), "mm", "another length", same)
 
 
-def _sharp_mm(lens: Lens) -> np.ndarray:
+def _sharp_mm() -> np.ndarray:
     """(2, 2) what is sharp before the focus, as printed and corrected, and behind it."""
-    both = printed_limits(lens, C), depth_of_field(lens, C)
+    both = printed_limits(LENS, C), depth_of_field(LENS, C)
     return np.array([(limits.front_mm, limits.back_mm) for limits in both], float).T
 
 
 def _limits() -> Items:
-    """(4) to (6): the circle where they lie, and where they have no value."""
-    for far, of, why in (
-        (L, "", L_LESS_F),
-        (2 * F, ", L = 2 F", f"{L_LESS_F}: twice as large at L = 2 F"),
-    ):
-        lens = replace(LENS, focus_mm=far)
-        fronts, backs = _sharp_mm(lens)
-        for name, places in (("(4)", far - fronts), ("(5)", far + backs)):
-            yield row(
-                f"equation {name}{of}, circle (3) at this limit",
-                f"{C}",
-                circle_of_confusion_mm(places, lens),
-                "mm",
-                why,
-                tolerance=1e-9,
-            )
+    """(4) to (6): the circle where they lie."""
+    fronts, backs = _sharp_mm()
+    for name, places in (("(4)", L - fronts), ("(5)", L + backs)):
+        yield row(
+            f"equation {name}, circle (3) at this limit",
+            f"{C}",
+            circle_of_confusion_mm(places, LENS),
+            "mm",
+            L_LESS_F,
+            tolerance=1e-9,
+        )
     limits = depth_of_field(LENS, C)
-    parts, true_parts = _sharp_mm(LENS).sum(0)
+    parts, true_parts = fronts + backs
     yield row(
         "equation (6)",
         "ΔL1 + ΔL2",
@@ -114,8 +101,6 @@ def _limits() -> Items:
         "L in the denominator is not squared, the dimensions do not match; the sum of (4)"
         f" and (5) is {parts:.4f}, and by (3) {true_parts:.4f}",
     )
-    squared = 2 * F**2 * N * C * L**2 / (F**4 - (N * C * L) ** 2)
-    yield _same("equation (6), L squared", "ΔL1 + ΔL2", squared, parts, 1e-12)
     yield row(
         "equation (5), hyperfocal distance",
         "F²/(N C)",
@@ -123,33 +108,11 @@ def _limits() -> Items:
         "mm",
         f"{L_LESS_F}; (5) has its pole there",
     )
-    beyond = Lens(F, N, 2 * limits.hyperfocal_mm)
-    px_per_dioptre = 1e-3 * beyond.coc_mm_per_dioptre
-    at = replace(AT, focus=1e3 / beyond.focus_mm, px_per_dioptre=px_per_dioptre)
-    least = sharp_range(at, F, C)[0]
-    yield row(
-        "equation (5), beyond the hyperfocal distance",
-        "NCL²/(F² - NCL)",
-        [
-            "not defined"
-            if mm is None
-            else "infinite"
-            if math.isinf(mm)
-            else f"{mm:g}"
-            for mm in (
-                printed_limits(beyond, C).back_mm,
-                depth_of_field(beyond, C).back_mm,
-            )
-        ],
-        "",
-        f"negative in print. As a dioptre its limit is {least:.4f} / m, below that of"
-        " infinity: all behind is inside",
-    )
 
 
 def _example() -> Items:
     """Section 3.1."""
-    fronts, backs = _sharp_mm(LENS)
+    fronts, backs = _sharp_mm()
     of = "section 3.1, "
     for name, value, used, unit in (
         ("f-number", "11", N, ""),
@@ -182,8 +145,6 @@ def _example() -> Items:
         f" (6) {eq6_total(N, C, L, F):.3f} mm; it"
         " is said to come from the camera's matrix, which is not stated",
     )
-    unknown = "its elements are not known"
-    yield row(f"{of}matrix of the camera", "found by OpenCV", None, "", unknown)
     distance = np.linspace(2350, 2680, 400)
     circle = np.array([eq3_circle(F, N, L, d) for d in distance])
     apart = np.abs(circle - circle_of_confusion_mm(distance, LENS)).max()
@@ -195,36 +156,31 @@ def _example() -> Items:
         "",
         apart < 1e-9,
     )
-    plot = curves(
-        "figure 3",
-        "circle of confusion and depth of field: N = 11, F = 200 mm, L = 2500 mm",
-        ("distance, mm; dotted: limits by (4) and (5), and corrected", "mm"),
-        distance,
-        {"circle (3)": circle, "permitted": np.full_like(distance, C)},
+    yield _plot(distance, circle, np.transpose([L - fronts, L + backs]))
+
+
+@styled
+def _plot(distance: np.ndarray, circle: np.ndarray, limits: np.ndarray) -> Plot:
+    """Of figure 3. limits : of what is sharp, as printed and corrected, mm"""
+    figure = Figure((7.6, 3.2))
+    axis = figure.subplots()
+    axis.plot(distance, circle, label="circle (3)", color=RAW)
+    axis.axhline(C, label="permitted", color=INK)
+    for sharp, colour in zip(limits, (RAW, SMOOTH), strict=True):
+        for limit_mm in sharp:
+            axis.axvline(limit_mm, color=colour, ls=":")
+    axis.set(
+        xlabel="distance, mm; dotted: limits by (4) and (5), and corrected",
+        ylabel="mm",
+        ylim=0,
     )
-    for front_mm, back_mm, colour in zip(fronts, backs, COLOURS[2:], strict=True):
-        for limit_mm in (L - front_mm, L + back_mm):
-            plot.figure.axes[0].axvline(limit_mm, color=colour, ls=":")
-    yield plot
+    axis.legend()
+    title = "circle of confusion and depth of field: N = 11, F = 200 mm, L = 2500 mm"
+    return Plot("figure 3", title, figure)
 
 
 def _blur_factor() -> Items:
     """Section 3.2, and what of it is wrong."""
-    far = np.linspace(0.0, 1e3 / L, 50)
-    rises = [
-        "rises" if (np.diff(f) <= 0).all() else "does not rise"
-        for f in (blur_factor(far, (0.0, 2.0), AT), AT.radius_px(far))
-    ]
-    item = "section 3, blur with distance from the focus"
-    yield row(item, "rises", rises, "", "not everywhere")
-    a = blur_factor(np.array([0.0, 1e3 / L, 50.0]), (0.1, 2.0), AT)
-    yield row(
-        "section 3.4, range of α",
-        "0 to 1",
-        f"{a.min():g} to {a.max():g}",
-        "",
-        "outside of it",
-    )
     words = "dioptres, 0 to 1 / z_near"
     why = "1 / z has no largest distance: what is infinitely far has a place"
     yield row("section 3.2, depth = z / z_far", "0 to 1", (words, words), "", why)
@@ -236,29 +192,6 @@ def _blur_factor() -> Items:
         "",
         "C_near of a plane at 50 mm is so large that all else seems sharp: a depends on"
         " planes that nobody sees",
-    )
-    place = np.array([1e3 / OTHER])
-    circle = circle_of_confusion_mm(OTHER, LENS)
-    near, far_off = (blur_factor(place, (1 / z, 0.5), AT)[0] for z in (6.0, 1000.0))
-    yield row(
-        "section 3.2, a of a thing at 5 m",
-        "one value",
-        (
-            f"{near:.3f} with z_far = 6 m, {far_off:.3f} with 1000 m",
-            f"{circle:.4f} mm with both",
-        ),
-        "",
-        "one thing's blur changes with the far plane",
-    )
-    wide = replace(AT, px_per_dioptre=AT.px_per_dioptre * N / 2)
-    open_a, a = (blur_factor(place, (0.0, 0.5), at)[0] for at in (wide, AT))
-    yield row(
-        "section 3.2, blur at f/2 over that at f/11",
-        "from focal length and f-number",
-        (open_a / a, circle_of_confusion_mm(OTHER, Lens(F, 2.0, L)) / circle),
-        "",
-        "F and N cancel in a: an open and a closed aperture blur alike, but for the limits"
-        " (4) and (5)",
     )
 
 
@@ -290,20 +223,6 @@ def _luminance() -> Items:
         "",
         math.isclose(result, expected, rel_tol=1e-5),
     )
-    darker = np.full((3, 3), 50, np.float32)
-    darker[1, 1] = 100
-    yield row("equation (8), 100 among darker ones", "100", middle(darker))
-    dot = np.zeros((9, 9, 3), np.float32)
-    dot[4, 4] = 1
-    made = eq8_bleed(dot, np.ones((9, 9), np.float32))[..., 0].sum()
-    yield row(
-        "equation (8), light of one white pixel",
-        1.0,
-        (made, DISC_ROWS.sum()),
-        "white pixels",
-        "each neighbour takes the white pixel's whole value: light is made from nothing,"
-        " and reaches one pixel. A disc keeps it",
-    )
 
 
 def _blocks() -> Items:
@@ -328,18 +247,6 @@ def _blocks() -> Items:
     ):
         why = "of their graphics program"
         yield row(f"figure 8, {name}", printed, value, unit, why)
-    # the mean filter and (8) reach half its side and one pixel more
-    largest = 2 * ((tall - rows_px) // 2 - 1) + 1
-    yield row(
-        "section 3.3, size of the mean filter",
-        None,
-        (
-            f"{PrintedDofParams().mean_px} px, at most {largest} px",
-            "discs of the blur circle",
-        ),
-        "",
-        "not stated; the block holds 4 px around its own, of which (8) takes one",
-    )
 
 
 def _blend() -> Items:
@@ -350,17 +257,6 @@ def _blend() -> Items:
         "equation (9), 80 over 40 with α = 1/4",
         "50",
         eq9_blend(np.array([[0.25]]), over, under)[0, 0, 0],
-    )
-    picture = np.zeros((3, 8, 3))
-    picture[:, 4:] = 1
-    half = eq9_blend(np.full((3, 8), 0.5), np.full_like(picture, 0.5), picture)
-    yield row(
-        "equation (9), sharp edge left at α = 1/2",
-        "weighted mean",
-        (np.abs(np.diff(half[1, :, 0])).max(), DISC_ROWS.max()),
-        "of the step",
-        "half of the edge stays as sharp as before; a disc of 3 px steps by no more than"
-        " one of its rows holds",
     )
     sharp = sharp_range(AT, F, C)
     inside, outside = within_depth_of_field(AT.focus + np.array([0, 0.1]), sharp, 0.5)
@@ -373,19 +269,3 @@ def _blend() -> Items:
         abs(inside - 2 / 3) < 1e-9,
     )
     yield row("section 3.4, factor outside", "1", outside)
-    places = np.linspace(sharp[0] - 0.01, sharp[1] + 0.01, 4001)
-    soft, hard = (
-        np.abs(np.diff(within_depth_of_field(places, sharp, border))).max()
-        for border in (0.5, 0.0)
-    )
-    yield row(
-        "section 3.4, border of the depth of field",
-        "smooth",
-        (
-            f"no step (at most {soft:.4f} from one of 4000 places to the next)",
-            "no border",
-        ),
-        "",
-        f"a hard border would be a step of {hard:.2f}",
-        soft < 0.01,
-    )

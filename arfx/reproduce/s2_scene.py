@@ -116,28 +116,20 @@ def scene_of(
 ) -> SceneFile:
     """parts : of SCENE;  full_px : its size, but in the short form"""
     width, height = work.scaled(full_px, (240, 192))
-    given = {
-        "lens": "",
-        "ball": "",
-        "width": width,
-        "height": height,
-        "samples": samples,
-    }
-    return parse_scene(SCENE.format(**given | parts))
+    size = {"width": width, "height": height, "samples": samples}
+    return parse_scene(SCENE.format(**{"lens": "", "ball": "", **size, **parts}))
 
 
-def desk(work: Work) -> SceneFile:
+def desk(work: Work, samples: int, **parts: str) -> SceneFile:
     """One frame, with its depth."""
-    return scene_of(work, (400, 320), work.scaled(3, 1), **STILL)
+    return scene_of(work, (400, 320), samples, **STILL, **parts)
 
 
 def photograph(work: Work) -> np.ndarray:
     """(h, w, 3) uint8 of what a camera with an open lens sees where the virtual ball is a
     real one.
     """
-    samples = work.scaled(8, 4)
-    parts = {**STILL, "lens": OPEN, "ball": BALL}
-    return work.clip(scene_of(work, (400, 320), samples, **parts)).frames()[0]
+    return work.clip(desk(work, work.scaled(8, 4), lens=OPEN, ball=BALL)).frames()[0]
 
 
 def desk_shot(work: Work, clip: Clip, model: Mapping[str, Any]) -> Shot:

@@ -1,18 +1,15 @@
 """Rows of Jia, Tang 2013: Voronoi watercolour, in the paper's order.
 
-Both formulas paint the same frame (`s3_scene`). What is not in it (cells on a plane, steps
-of colour, a resting and a panning camera) is made in `s3_measure`."""
+Both formulas paint the same frame. It is made in `s3_measure`, and so is what is not in it:
+cells on a plane, steps of colour, a resting camera."""
 
 from __future__ import annotations
-
-from functools import partial
 
 import numpy as np
 
 from arfx.core.layers import Layer
 from arfx.papers import s3_watercolor as paper
 from arfx.reproduce import s3_measure as measure
-from arfx.reproduce import s3_scene as scene
 from arfx.reproduce.rows import (
     BEFORE,
     CORRECTED,
@@ -20,13 +17,11 @@ from arfx.reproduce.rows import (
     Figure,
     Items,
     Row,
-    curves,
     row,
 )
-from arfx.reproduce.s3_scene import FLAT, OBJECTS, Shown, corrected, printed
-from arfx.reproduce.work import Work, median_s
+from arfx.reproduce.s3_measure import FLAT, OBJECTS, Shown, corrected, printed
+from arfx.reproduce.work import Work
 from arfx.stages.watercolor.labels import label
-from arfx.stages.watercolor.lines import ALPHA, BETA
 from arfx.stages.watercolor.sites import make_sites, still_field
 from arfx.stages.watercolor.toon import RAMP, tones
 
@@ -46,12 +41,12 @@ STEP_VALUES = {
 
 
 def rows(work: Work) -> Items:
-    frame = scene.shown(work)
+    frame = measure.shown(work)
     yield from frame_rows(frame)
     yield from cell_rows(frame)
-    yield from depth_rows(frame, work)
+    yield depth_row(work)
     yield from toon_rows(frame)
-    yield from edge_rows(frame, work)
+    yield from edge_rows(frame)
     yield from picture_rows(frame)
     yield from time_rows(frame, work)
 
@@ -77,7 +72,7 @@ def frame_rows(frame: Shown) -> Items:
 
 def cell_rows(frame: Shown) -> Items:
     """3.1.1, and 3.1.2 with cones of one size."""
-    rect, (m, n) = frame.layers.rect, scene.cells_of(frame)
+    rect, (m, n) = frame.layers.rect, measure.cells_of(frame)
     w = rect.width / n
     h = rect.height / m
     cell_px = float(np.sqrt(w * h))
@@ -87,11 +82,6 @@ def cell_rows(frame: Shown) -> Items:
     own = label(ours, rect).first
     both = ((sites, labels), (ours, own))
 
-    yield _not_stated(
-        "m and n",
-        "settings; 0 = cells of cell_px",
-        "cell_px, for cells of any density",
-    )
     yield row(
         "equation (1), a site in each of m × n rectangles",
         "1",
@@ -101,23 +91,6 @@ def cell_rows(frame: Shown) -> Items:
         " one to a rectangle in the mean alone",
         tolerance=1e-9,
     )
-    yield row(
-        "equation (1), every site in its own cell",
-        "1",
-        [measure.own_cell_share(s) for s, _ in both],
-        "share of sites",
-        tolerance=1e-9,
-    )
-    away = [measure.farthest(s, found) / np.hypot(w, h) for s, found in both]
-    yield row(
-        "equation (1), farthest pixel from its site",
-        "at most 1",
-        away,
-        "diagonal of a rectangle",
-        "",
-        max(away) <= 1,
-    )
-
     item = "figure 2, Voronoi diagram"
     yield row(f"{item}, polygons", str(m * n), len(np.unique(labels)))
     yield row(
@@ -127,17 +100,11 @@ def cell_rows(frame: Shown) -> Items:
         "share of cells that are convex",
         tolerance=1e-9,
     )
-    yield Figure(item, "each cell in a colour by chance", _templates(labels, own))
-    yield row(
-        "section 3.1.2, cones give Voronoi cells",
-        "1",
-        [measure.nearest_share(s, found[:64, :96]) for s, found in both],
-        "share of pixels with the nearest site",
-        tolerance=1e-9,
+    colours = np.random.default_rng(2).integers(
+        60, 250, (len(ours) + m * n, 3), np.uint8
     )
-
-    grey = np.full(frame.image.shape, 0.5, np.float32)
-    _, even = paper.named_by_colour(grey, labels, sites, rect)
+    cells = {PRINTED: colours[labels], CORRECTED: colours[own]}
+    yield Figure(item, "each cell in a colour by chance", cells)
     _, many = paper.named_by_colour(frame.image, labels, sites, rect)
     numbers = len(np.unique(ours.key)) / len(ours)
     yield row(
@@ -145,8 +112,8 @@ def cell_rows(frame: Shown) -> Items:
         "unique",
         (many / (m * n), numbers),
         "names per cell",
-        f"equal colours collide: {m * n} cells have {many} names in the frame and {even} on"
-        " an even picture; corrected: integers",
+        f"equal colours collide: {m * n} cells have {many} names in the frame; corrected:"
+        " integers",
     )
 
     item = "figure 4, cells in their mean colour"
@@ -161,8 +128,8 @@ def cell_rows(frame: Shown) -> Items:
         "",
         below=0.01,
     )
-    made = frame.painted(frame.ready(printed(**CELLS_ALONE)))
-    flat = frame.painted(frame.ready(corrected(cell_px=scene.CELL_PX, **FLAT)))
+    made = frame.painted(printed(**CELLS_ALONE))
+    flat = frame.painted(corrected(cell_px=measure.CELL_PX, **FLAT))
     yield Figure(
         item,
         "cells alone, their size by depth",
@@ -170,55 +137,23 @@ def cell_rows(frame: Shown) -> Items:
     )
 
 
-def depth_rows(frame: Shown, work: Work) -> Items:
+def depth_row(work: Work) -> Row:
     """3.1.2: the depth buffer decides the cones' size."""
-    depth, by_cones, by_density = measure.areas_on_plane(8, work.scaled(10, 2))
-    area, covered, equal = measure.small_thing(work.scaled(40, 10))
-    item = "section 3.1.2, nearer is finer"
-    yield row(
-        item,
+    depth, areas = measure.areas_on_plane(8, work.scaled(10, 2))
+    return row(
+        "section 3.1.2, nearer is finer",
         "nearer is finer",
-        [areas[-1] / areas[0] for areas in (by_cones, by_density)],
+        areas[-1] / areas[0],
         f"area of a cell of a plane at {depth[-1]:.2f} m / at {depth[0]:.2f} m",
         "m × n sites are spread evenly, and the size of cones moves the borders between"
-        " near and far alone: a disc five cells wide, at .25 m before a wall at 2 m, has"
-        f" cells of {area:.2f} of the wall's area, and the wall's cells cover {covered:.0%}"
-        f" of it ({equal:.0%} with equal cones). Corrected: the density of the sites"
+        " near and far alone, which makes them arcs. Corrected: the density of the sites"
         " follows the depth",
-    )
-    yield curves(
-        item,
-        "cells on a plane",
-        ("depth of the plane, m", "mean area of a cell, px"),
-        depth,
-        {PRINTED: by_cones, CORRECTED: by_density},
-    )
-    buffer, labels = measure.printed_cells(frame)
-    own = measure.corrected_cells(frame)
-    shares = [measure.convex_share(found) for found in (labels, own)]
-    item = "section 3.1.2, polygons with cones of many sizes"
-    yield row(
-        item,
-        "convex",
-        shares,
-        "share of cells that are convex",
-        "borders between cones of two sizes are arcs; corrected cells are power cells,"
-        " which are polygons",
-    )
-    yield Figure(
-        item, "cells by depth", {"depth buffer": buffer, **_templates(labels, own)}
-    )
-    yield _not_stated(
-        "size of a cone by the depth buffer",
-        "in proportion to its value",
-        "depth ^ nearer_finer",
     )
 
 
 def toon_rows(frame: Shown) -> Items:
     """3.2: the listing."""
-    p = printed().params
-    c = corrected().params
+    p, c = printed().params, corrected().params
     cosine = np.linspace(-1, 1, 20001)
     normal = np.stack([np.sqrt(1 - cosine**2), 0 * cosine, cosine], -1).astype(
         np.float32
@@ -229,9 +164,7 @@ def toon_rows(frame: Shown) -> Items:
         paper.toon(one, normal, up, p.toon_thresholds, p.toon_factors)[:, 0],
         tones(cosine, c.toon_thresholds, c.toon_factors),
     )
-    low, high = zip(*(_thresholds(kind, cosine) for kind in kinds), strict=True)
-    why = "the line with the first `if` is missing"
-    yield _not_stated("toon listing, first threshold", high[0], high[1], why)
+    low = [_threshold(kind, cosine) for kind in kinds]
     yield row("toon listing, second threshold", "0.2", low, "n · l")
     for name, text, at in (
         ("first", "1", 1.0),
@@ -254,22 +187,8 @@ def toon_rows(frame: Shown) -> Items:
         f"corrected, a step is a ramp of {RAMP:g} in n · l, so that it does not crawl",
     )
 
-    where = np.any(list(frame.objects().values()), axis=0)
-    stages = (printed(), corrected())
-    smooth, *shares = (
-        measure.printed_edges(picture, p)[where].mean()
-        for picture in (frame.image, *map(frame.toon_shaded, stages))
-    )
-    words = [
-        f"{toon:.1%} of the objects' pixels; {smooth:.1%} shaded smoothly"
-        for toon in shares
-    ]
-    item = "section 3.2, toon in place of Gouraud shading"
-    why = "a soft step is no edge"
-    yield row(item, "edges that stand out more", words, "", why, min(shares) > smooth)
 
-
-def edge_rows(frame: Shown, work: Work) -> Items:
+def edge_rows(frame: Shown) -> Items:
     """3.2: (2) to (4)."""
     for k, (equation, beta) in enumerate(
         (
@@ -283,28 +202,9 @@ def edge_rows(frame: Shown, work: Work) -> Items:
             item = f"{equation}, {step}"
             unit = "α = β = .5"
             yield row(item, values[k], found, unit, tolerance=2e-4)
-    p = printed().params
-    c = corrected().params
-    yield _not_stated("matrix from RGB to YUV", p.yuv, "bt601")
-    yield _not_stated("equation (2), alpha", p.alpha, ALPHA)
-    yield _not_stated("equation (4), beta", p.beta, BETA)
-    yield _not_stated(
-        "equation (4), threshold",
-        p.line_threshold,
-        f"{c.line_low:g} to {c.line_high:g}",
-    )
-    yield row(
-        "equation (4), pixels of an edge that flip",
-        "an edge, or none",
-        measure.flips(work.scaled(12, 4)),
-        "share from frame to frame, noise 2/255, at the worst contrast",
-        "near a hard threshold noise decides; corrected lines come from a smoothed picture,"
-        " with hysteresis and a ramp",
-    )
-
     item = "figure 5, edges of the frame"
-    toon_shaded = frame.toon_shaded(printed())
-    edges = measure.printed_edges(toon_shaded, p)
+    toon_shaded = printed().frame(frame.view(printed()))
+    edges = measure.printed_edges(toon_shaded, printed().params)
     lines = measure.corrected_lines(frame)
     why = (
         "what stands before nearly its own colour is below the threshold; corrected, the"
@@ -346,7 +246,7 @@ def picture_rows(frame: Shown) -> Items:
     cells = stage.cells(view, coded)
     edges = measure.printed_edges(coded, stage.params)
     done = np.where(edges[..., None], 0, cells)
-    made = frame.painted(frame.ready(stage))
+    made = frame.painted(stage)
     item = "figure 6, from the frame to the picture"
     apart = 255 * np.abs(done - made).max()
     words = "cells, with the edges over them"
@@ -363,7 +263,7 @@ def picture_rows(frame: Shown) -> Items:
         },
     )
 
-    ours = frame.painted(frame.ready(corrected()))
+    ours = frame.painted(corrected())
     change = [255 * np.abs(a - frame.image).mean() for a in (made, ours)]
     item = "figure 7, watercolour of the frame"
     yield row(
@@ -381,73 +281,27 @@ def picture_rows(frame: Shown) -> Items:
 
 def time_rows(frame: Shown, work: Work) -> Items:
     """What sections 2 and 4 say of time."""
-    frames = work.scaled(5, 3)
     # the paper's grain rests on the screen
-    cases: tuple[tuple[str, measure.Settings, measure.Settings], ...] = (
-        ("cells", CELLS_ALONE, FLAT),
-        ("whole picture", {}, {"grain": 0.0}),
+    stages = (printed(), corrected(grain=0.0))
+    frames = work.scaled(5, 3)
+    errors, changes = zip(
+        *(measure.change_at_rest(frame, stage, frames) for stage in stages),
+        strict=True,
     )
-    for name, *settings in cases:
-        still = measure.still_frames(frame, frames, *settings)
-        item = f"section 2, coherence at rest, {name}"
-        unit = "squared error {}, noise 2/255"
-        yield row(
-            item,
-            "good",
-            [measure.mean_squared(made) for made in still],
-            unit.format("between frames"),
-            "new random numbers in every frame; corrected sites are a hash of (seed, cell)",
-        )
-        change = {
-            f"change, {kind}": 8 * abs(made[1] - made[0])
-            for kind, made in zip((PRINTED, CORRECTED), still, strict=True)
-        }
-        yield Figure(item, "change from a frame to the next, × 8", change)
-        yield row(
-            f"section 2, coherence in a pan, {name}",
-            "good",
-            measure.pan_errors(frame.scene, frames, *settings),
-            unit.format("along the motion"),
-            "even fixed on the screen, cells let the picture swim; corrected ones move with the"
-            " things",
-        )
-    rates = [
-        1 / median_s(partial(frame.paint_anew, frame.ready(stage)), work.scaled(5, 1))
-        for stage in (printed(), corrected())
-    ]
-    rect = frame.layers.rect
+    item = "section 2, coherence at rest, whole picture"
     yield row(
-        "section 2, speed",
-        "real time",
-        rates,
-        "frames/s",
-        "no rate, size or machine is printed; the values are of the stage alone, at"
-        f" {rect.width} × {rect.height} on a processor",
+        item,
+        "good",
+        errors,
+        "squared error between frames, noise 2/255",
+        "new random numbers in every frame; corrected sites are a hash of (seed, cell)",
     )
+    names = f"change, {PRINTED}", f"change, {CORRECTED}"
+    pictures = {name: 8 * change for name, change in zip(names, changes, strict=True)}
+    yield Figure(item, "change from a frame to the next, × 8", pictures)
 
 
-def _not_stated(
-    item: str,
-    here: float | str,
-    ours: float | str,
-    why: str = "the paper does not say",
-) -> Row:
-    return row(item, "not stated", (here, ours), "", f"{why}: it is a setting")
-
-
-def _templates(labels: np.ndarray, own: np.ndarray) -> dict[str, np.ndarray]:
-    """Pictures in which each cell has a colour by chance."""
-    colours = np.random.default_rng(2).integers(
-        60, 250, (int(max(labels.max(), own.max())) + 1, 3), np.uint8
-    )
-    return {"cells, printed": colours[labels], "cells, corrected": colours[own]}
-
-
-def _thresholds(tones: np.ndarray, cosine: np.ndarray) -> tuple[float, float]:
-    """Cosines at which the tone is half-way between the lower two and between the upper two
-    of three, to .001.
-    """
-    levels = np.array([tones[0], tones[np.searchsorted(cosine, 0.35)], tones[-1]])
-    at = np.searchsorted(tones, (levels[1:] + levels[:-1]) / 2)
-    first, second = cosine[at].round(3).tolist()
-    return first, second
+def _threshold(tones: np.ndarray, cosine: np.ndarray) -> float:
+    """Cosine at which the tone is half-way between the lower two of three, to .001."""
+    middle = (tones[0] + tones[np.searchsorted(cosine, 0.35)]) / 2
+    return float(cosine[np.searchsorted(tones, middle)].round(3))

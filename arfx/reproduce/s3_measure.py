@@ -1,41 +1,141 @@
-"""Measures for the rows of Jia, Tang 2013: cells, edges, and what changes from frame to frame."""
+"""The scene of the rows of Jia, Tang 2013, teapot, cube and rabbit, of one model file, on a
+desk with real things near and far; and measures: cells, edges, and what changes from frame to
+frame.
+
+`Shown` is a frame of the scene with the object in it, before it is painted: what either
+formula's class is given."""
 
 from __future__ import annotations
 
 import itertools
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from scipy import ndimage
-from scipy.spatial import KDTree
 
-from arfx.core.advection import AdvectionField, pack_positions
+from arfx.core.colour import SRGB
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers, packed
 from arfx.core.pixels import Pixels
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import ReadyStage
+from arfx.core.stage import ReadyStage, View
 from arfx.papers import s3_watercolor as paper
-from arfx.papers.s3_watercolor import PrintedWatercolorParams
-from arfx.reproduce.s3_scene import CELL_PX, Shown, cells_of, corrected, printed
+from arfx.papers.s3_watercolor import PrintedWatercolor, PrintedWatercolorParams
+from arfx.reproduce.work import Work
+from arfx.stages.watercolor import Watercolor
 from arfx.stages.watercolor.cells import mean_colours
-from arfx.stages.watercolor.field import frame_field, nearness_factor
-from arfx.stages.watercolor.labels import label
-from arfx.stages.watercolor.lines import measure_edges, trace_lines
-from arfx.stages.watercolor.sites import (
-    GRID_PX,
-    STEPS,
-    Sites,
-    make_sites,
-    still_field,
-)
+from arfx.stages.watercolor.lines import measure_edges
+from arfx.stages.watercolor.params import WatercolorParams
+from arfx.stages.watercolor.sites import STEPS, Sites
 
-Settings = Mapping[str, Any]  # of the section watercolor
+CELL_PX = 8
+OBJECTS = ("teapot", "cube", "rabbit")
+SCENE = Path(__file__).with_name("scenes") / "group.toml"
+
+
+class Shown(NamedTuple):
+    """layers : that the watercolour reads, and the objects' numbers, of the whole frame
+    real : (h, w, 3) uint8, the camera's"""
+
+    layers: Layers
+    facts: FrameFacts
+    scene: Scene
+    real: np.ndarray
+
+    @property
+    def image(self) -> np.ndarray:
+        """(h, w, 3) float32 coded: the frame with the objects."""
+        return coded(self.layers[Layer.IMAGE])
+
+    def ready(self, stage: Watercolor) -> ReadyStage:
+        return ReadyStage.of(stage, self.scene, "standard")
+
+    def view(self, stage: Watercolor) -> View:
+        return self.ready(stage).view(self.layers, self.facts)
+
+    def painted(self, stage: Watercolor) -> np.ndarray:
+        """(h, w, 3) float32 coded."""
+        return coded(self.ready(stage).run(self.layers, self.facts)[Layer.IMAGE])
+
+    def noisy(self, index: int, sigma: float) -> Shown:
+        """The same moment once more, as frame `index` of a resting camera: with other noise."""
+        g = np.random.default_rng(index)
+        noisy = np.clip(self.image + g.normal(0, sigma, self.image.shape), 0, 1)
+        rect = self.layers.rect
+        image = SRGB.decode(noisy).astype(np.float32)
+        layers = Layers(
+            rect, {**self.layers.written, Layer.IMAGE: Pixels(rect, image)}
+        )
+        return self._replace(layers=layers, facts=replace(self.facts, index=index))
+
+    def objects(self) -> dict[str, np.ndarray]:
+        """(h, w) bool of the pixels of each object: the model's parts from left to right."""
+        middle = np.array([p.vertices[:, 0].mean() for p in self.scene.model.parts])
+        place = (middle - middle.min()) / np.ptp(
+            middle
+        )  # teapot, then cube, then rabbit
+        kind = np.append(-1, (place >= 0.5).astype(int) + (place >= 1))
+        number = kind[self.layers[Layer.OBJECT_ID]]
+        return {name: number == k for k, name in enumerate(OBJECTS)}
+
+    def real_outlines(self) -> np.ndarray:
+        """(h, w) bool: pixels that are nearer by a tenth than one beside them, of the real
+        scene beside the objects.
+        """
+        depth = self.layers[Layer.REAL_DEPTH]
+        own = self.layers[Layer.COVERAGE] > 0
+        farther = cv2.dilate(depth, np.ones((3, 3), np.uint8))
+        return (farther > 1.1 * depth) & ~ndimage.binary_dilation(
+            own, np.ones((9, 9))
+        )
+
+
+def coded(linear: np.ndarray | Pixels) -> np.ndarray:
+    """(h, w, 3) float32."""
+    return SRGB.encode(np.clip(np.asarray(linear), 0, 1)).astype(np.float32)
+
+
+def shown(work: Work) -> Shown:
+    """The scene's frame up to the composite, lit by the corrected method: both formulas'
+    classes paint the same picture.
+    """
+    width, height = work.scaled((640, 360), (240, 136))
+    clip = work.clip(
+        SCENE.read_text(encoding="utf-8").format(width=width, height=height)
+    )
+    model = {"file": work.model("group"), "fit": "26cm"}
+    shot = work.shot(clip, {"model": model})
+    layers = shot.renderer.after(shot.up_to("watercolor")[:-1]).view(
+        shot.renderer.window
+    )
+    return Shown(layers, shot.facts, shot.job.scene, shot.renderer.original())
+
+
+def cells_of(shown: Shown) -> tuple[int, int]:
+    """m, n: rows and columns of cells of about CELL_PX."""
+    rect = shown.layers.rect
+    return max(round(rect.height / CELL_PX), 1), max(round(rect.width / CELL_PX), 1)
+
+
+def printed(**settings: Any) -> PrintedWatercolor:
+    return PrintedWatercolor(PrintedWatercolorParams(cell_px=CELL_PX, **settings))
+
+
+def corrected(**settings: Any) -> Watercolor:
+    return Watercolor(WatercolorParams(**settings))
+
+
+EFFECTS = "wash lines lightness deepest edge_darkening flow wobble_px grain"
+# cells alone
+FLAT = {"saturation": 1.0, "toon": False, **dict.fromkeys(EFFECTS.split(), 0.0)}
+
+
 NOISE = 2 / 255
 NEAR_M, FAR_M = 0.35, 2.0  # of the plane on which cells are counted
 _SIZE = Rect.of(480, 400)
@@ -52,15 +152,14 @@ def edge_of(
     The corrected one is of a slope of n px from one to the other, times n: it is a measure
     per px of half the picture."""
     n = 64
-    width = 128
-    ramp = np.clip((np.arange(width) - (width - n) / 2 + 0.5) / n, 0, 1)[:, None]
     step = np.array([[left, right]] * 2, float)
-    colours = step[0, 0] + ramp * (step[0, 1] - step[0, 0])
+    ramp = np.clip((np.arange(2 * n) + 0.5) / n - 0.5, 0, 1)[:, None]
     # the measure is of square roots
-    slope = np.tile(colours**2, (16, 1, 1)).astype(np.float32)
-    edges = measure_edges(packed(slope), 0.0, 0.5, beta)
+    slope = (step[0, 0] + ramp * (step[0, 1] - step[0, 0])) ** 2
+    packed_slope = packed(np.tile(slope, (16, 1, 1)).astype(np.float32))
+    corrected = measure_edges(packed_slope, 0.0, 0.5, beta).measure[4, n // 2]
     own = paper.eq4_edges(step, 0.5, beta)[0, 0]
-    return float(own), float(edges.measure[4, width // 4] * n / 2)
+    return float(own), float(corrected * n / 2)
 
 
 def printed_edges(coded: np.ndarray, p: PrintedWatercolorParams) -> np.ndarray:
@@ -75,133 +174,37 @@ def corrected_lines(shown: Shown) -> np.ndarray:
     return stage.lines_of(view, stage.with_toon(view))
 
 
-def flips(frames: int) -> list[float]:
-    """Share of the pixels along a grey step, in noise of 2/255, that get or lose more than
-    half of their ink from frame to frame: as printed, corrected; each at the contrast at
-    which most do."""
-    p = PrintedWatercolorParams()
-    c = corrected().params
-    found = []
-    for contrast in np.linspace(0.03, 0.25, 45):
-        g = np.random.default_rng(1)
-        base = np.full((240, 64, 3), 0.4)
-        base[:, 32:] += contrast
-        ink = []
-        for _ in range(frames):
-            coded = (base + g.normal(0, NOISE, base.shape)).astype(np.float32)
-            edges = measure_edges(packed(coded**2))
-            lines = trace_lines(edges, c.line_low, c.line_high, c.line_width_px)
-            ink.append((printed_edges(coded, p)[:, 31], lines[:, 12:20].max(1)))
-        seen = (np.array(kind, float) for kind in zip(*ink, strict=True))
-        found.append([np.mean(np.abs(np.diff(kind, axis=0)) > 0.5) for kind in seen])
-    return np.max(found, axis=0).tolist()
+def change_at_rest(
+    shown: Shown, stage: Watercolor, frames: int
+) -> tuple[float, np.ndarray]:
+    """Of a resting, noisy camera: mean squared difference from frame to frame, and that of
+    the first two (h, w, 3), coded."""
+    made = [shown.noisy(100 + k, NOISE).painted(stage) for k in range(frames)]
+    change = np.diff(made, axis=0)
+    return float(np.mean(change**2)), abs(change[0])
 
 
-def still_frames(
-    shown: Shown, frames: int, of_printed: Settings, of_corrected: Settings
-) -> list[list[np.ndarray]]:
-    """(h, w, 3) coded frames of a resting, noisy camera, printed and corrected."""
-    moments = [shown.noisy(100 + k, NOISE) for k in range(frames)]
-    both = printed(**of_printed), corrected(**of_corrected)
-    return [
-        [moment.painted(ready) for moment in moments]
-        for ready in map(shown.ready, both)
-    ]
-
-
-def mean_squared(frames: Sequence[np.ndarray]) -> float:
-    """Mean squared difference from frame to frame."""
-    return float(np.mean(np.diff(frames, axis=0) ** 2))
-
-
-def pan_errors(
-    scene: Scene, frames: int, of_printed: Settings, of_corrected: Settings
-) -> list[float]:
-    """The same in a pan over things of all sizes, along the true motion: printed with cells
-    fixed on the screen (that is, of one frame's random numbers), corrected with cells that
-    move with the things."""
-    rect = scene.camera.rect
-    g = np.random.default_rng(5)
-    step_px = 3
-    height = rect.height
-    width = rect.width
-    wide = height, width + step_px * frames
-    noise = [
-        cv2.GaussianBlur(g.standard_normal(wide), (0, 0), s) * s for s in (4, 7, 12)
-    ]
-    world = np.clip(0.5 + 0.15 * np.stack(noise, -1) / np.std(noise), 0, 1)
-    nodes = still_field(width, height, CELL_PX, 96)
-    origin = nodes.x0, nodes.y0
-    errors = []
-    for stage in (printed(**of_printed), corrected(**of_corrected)):
-        ready = ReadyStage.of(stage, scene, "standard")
-        out = []
-        for k in range(frames):
-            x = step_px * k
-            seen = world[:, x : x + width] + g.normal(0, NOISE, (height, width, 3))
-            places = pack_positions(nodes.u + x, nodes.v)
-            field = AdvectionField(0, GRID_PX, origin, nodes.u.shape, places)
-            image = (np.clip(seen, 0, 1) ** 2).astype(np.float32)
-            layers = Layers(rect, {Layer.IMAGE: Pixels(rect, image)})
-            painted = ready.run(layers, FrameFacts(0, 0.0, advection=field))
-            out.append(np.sqrt(np.asarray(painted[Layer.IMAGE]))[16:-16, 16:-16])
-        still = np.array(out)
-        apart = still[:-1, :, step_px:] - still[1:, :, :-step_px]
-        errors.append(float(np.mean(apart**2)))
-    return errors
-
-
-def areas_on_plane(
-    bands: int, repeats: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def areas_on_plane(bands: int, repeats: int) -> tuple[np.ndarray, np.ndarray]:
     """(depth, m, of bands of a plane that goes from FAR_M above to NEAR_M below; mean area
-    of cells there, px, as printed with cones by the depth buffer, and corrected)."""
+    of printed cells there, px, with cones by the depth buffer)."""
     height = _SIZE.height
     width = _SIZE.width
     dioptre = np.linspace(1 / FAR_M, 1 / NEAR_M, height)
     near_m = PrintedWatercolorParams().near_m
     depth = np.tile((1 - near_m * dioptre)[:, None], width)
     border = 3 * CELL_PX  # cells there are cut off
-    field = still_field(width, height, CELL_PX, border)
-    nodes_y = field.y0 + GRID_PX * np.arange(len(field.u))
-    near = np.interp(nodes_y, np.arange(height), dioptre) / dioptre.mean()
-    strength = corrected().params.nearer_finer
-    field = replace(field, size=field.size * nearness_factor(near[:, None], strength))
-    areas = np.zeros((2, bands, 2))  # of each formula: pixels, cells
     edges = np.linspace(border, height - border, bands + 1)
+    sums = np.zeros((2, bands))  # pixels, cells
     for key in range(repeats):
-        sites, by_depth = paper.voronoi(depth, *PLANE, key)
-        other = make_sites(field, key, 10**6, CELL_PX)
-        by_formula = (sites, by_depth), (other, label(other, _SIZE).first)
-        for counts, (at, labels) in zip(areas, by_formula, strict=True):
-            area = np.bincount(labels.ravel(), minlength=len(at))
-            x = at.x / STEPS
-            y = at.y / STEPS
-            counted = (area > 0) & (x > border) & (x < width - border)
-            counted &= y < height - border
-            for k, weights in enumerate((area[counted], None)):
-                counts[:, k] += np.histogram(y[counted], edges, weights=weights)[0]
+        sites, labels = paper.voronoi(depth, *PLANE, key)
+        area = np.bincount(labels.ravel(), minlength=len(sites))
+        x, y = sites.x / STEPS, sites.y / STEPS
+        counted = (area > 0) & (x > border) & (x < width - border)
+        counted &= y < height - border
+        for k, weights in enumerate((area[counted], None)):
+            sums[k] += np.histogram(y[counted], edges, weights=weights)[0]
     middle = 1 / np.interp((edges[1:] + edges[:-1]) / 2, np.arange(height), dioptre)
-    return middle, *(areas[..., 0] / areas[..., 1])
-
-
-def small_thing(repeats: int) -> list[float]:
-    """A disc five cells wide at .25 m before a wall at 2 m: area of its cells over that of
-    the wall's; share of it that the wall's cells cover, with cones by depth and with equal
-    ones."""
-    y, x = np.mgrid[: _SIZE.height, : _SIZE.width]
-    disc = np.hypot(x - 200, y - 160) < 2.5 * CELL_PX
-    near_m = PrintedWatercolorParams().near_m
-    depth = np.where(disc, 1 - near_m / 0.25, 1 - near_m / 2)
-    found = []
-    for key in range(repeats):
-        sites, by_depth = paper.voronoi(depth, *PLANE, key)
-        _, equal = paper.voronoi(np.ones_like(depth), *PLANE, key)
-        own = paper.at_sites(disc, sites, _SIZE)
-        area = np.bincount(by_depth.ravel(), minlength=len(sites))
-        lost = (np.mean(~own[labels][disc]) for labels in (by_depth, equal))
-        found.append((area[own].mean() / area[~own].mean(), *lost))
-    return np.mean(found, axis=0).tolist()
+    return middle, sums[0] / sums[1]
 
 
 def convex_share(labels: np.ndarray) -> float:
@@ -220,43 +223,6 @@ def convex_share(labels: np.ndarray) -> float:
     return float(np.mean(convex))
 
 
-def printed_cells(shown: Shown) -> tuple[np.ndarray, np.ndarray]:
-    """(depth buffer, labels) (h, w) of a frame."""
-    stage = printed()
-    buffer = paper.depth_buffer(shown.view(stage), stage.params.near_m)
-    return buffer, paper.voronoi(buffer, shown.layers.rect, *cells_of(shown), 1)[1]
-
-
-def corrected_cells(shown: Shown) -> np.ndarray:
-    """(h, w) labels of a frame's background by measured depth, as dense as the printed ones
-    in the mean.
-    """
-    rect = shown.layers.rect
-    strength = corrected().params.nearer_finer
-    real_m = shown.layers[Layer.REAL_DEPTH]
-    field, _ = frame_field(shown.facts, shown.scene, CELL_PX, strength, real_m)
-    return label(make_sites(field, 1, 10**6, CELL_PX), rect).first
-
-
-def lifted(sites: Sites) -> np.ndarray:
-    """(n, 3) of the plane, 1/STEPS px, and so far over it that the nearest to a place of the plane
-    is the nearest site by its weight."""
-    return np.stack([sites.x, sites.y, np.sqrt(-sites.weight)], -1).astype(float)
-
-
-def nearest_share(sites: Sites, labels: np.ndarray) -> float:
-    """Of the pixels of the picture's corner, those labelled with the site nearest to them."""
-    y, x = np.indices(labels.shape) * STEPS
-    return _nearest(sites, np.stack([x, y, 0 * x], -1), labels)
-
-
-def _nearest(sites: Sites, places: np.ndarray, labels: np.ndarray) -> float:
-    points = lifted(sites)
-    away, _ = KDTree(points).query(places)
-    own = np.linalg.norm(places - points[labels], axis=-1)
-    return float(np.mean(own <= away + 1e-9))
-
-
 def rectangles_with_site(sites: Sites, rect: Rect, m: int, n: int) -> float:
     """Of m x n rectangles, those in which a site lies, to the half step that sites are
     rounded by.
@@ -268,19 +234,6 @@ def rectangles_with_site(sites: Sites, rect: Rect, m: int, n: int) -> float:
         y = (sites.y + dy) / STEPS - rect.y0 + 0.5
         held |= np.histogram2d(y, x, (m, n), area)[0] > 0
     return float(held.mean())
-
-
-def own_cell_share(sites: Sites) -> float:
-    """Of the sites, those that are the nearest to themselves."""
-    return _nearest(sites, lifted(sites) * [1, 1, 0], np.arange(len(sites)))
-
-
-def farthest(sites: Sites, labels: np.ndarray) -> float:
-    """px from a pixel to its site, at most."""
-    y, x = np.indices(labels.shape)
-    return float(
-        np.hypot(x - sites.x[labels] / STEPS, y - sites.y[labels] / STEPS).max()
-    )
 
 
 def mean_error(image: np.ndarray, labels: np.ndarray) -> float:

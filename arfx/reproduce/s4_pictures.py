@@ -11,22 +11,29 @@ from typing import Any
 import cv2
 import numpy as np
 
+from arfx.core.colour import SRGB
 from arfx.core.layers import Layer
+from arfx.core.numerics import normalise
 from arfx.core.stage import level_named
-from arfx.measure.difference import difference, touched
+from arfx.measure.difference import TOUCHED
 from arfx.reproduce.rows import (
     BEFORE,
     CORRECTED,
-    PRINTED,
     REFERENCE,
-    Bars,
     Figure,
     Items,
+    errors,
     row,
 )
-from arfx.reproduce.s4_mirror import mirrored_room
 from arfx.reproduce.s4_scenes import LAMP, flat_scene, methods, room
-from arfx.reproduce.work import Settings, Shot, Work
+from arfx.reproduce.work import Clip, Settings, Shot, Work
+from arfx.synth.rays import Rays
+from arfx.synth.tracer import radiance
+from arfx.synth.world import World
+
+FOOTPRINT_RAD = 0.03  # of a ray: about what a pixel of the ball mirrors
+REFLECTED = 0.95  # of the ball's material
+_LIFT_M = 1e-4
 
 
 def pictures(work: Work) -> Items:
@@ -66,7 +73,6 @@ def pictures(work: Work) -> Items:
         yield from beside_reference(
             work, item, title, settings, model == "mirror", why
         )
-    yield from rates(work)
 
 
 def on_the_plane(work: Work) -> Items:
@@ -144,14 +150,10 @@ def beside_reference(
     if mirror:
         made[REFERENCE] = mirrored_room(clip, best, made[REFERENCE])
     before = best.renderer.original()
-    where = touched(*((before, picture) for picture in made.values()))
     yield row(
         item,
         title,
-        [
-            difference(made[REFERENCE], made[name], where).mean
-            for name in (PRINTED, CORRECTED)
-        ],
+        errors(made, before, TOUCHED),
         "grey levels from traced rays, mean where anything changes",
         reason,
         below=1,
@@ -159,35 +161,42 @@ def beside_reference(
     yield Figure(item, title, {BEFORE: before, **made})
 
 
-def rates(work: Work) -> Items:
-    """Whole jobs with a teapot."""
-    settings = methods(work, work.scaled("red-teapot", "red-cube"), "13cm", LAMP)
-    clip = room(work)
-    timed = {name: work.timed(clip, given) for name, given in settings.items()}
-    size = f"{clip.scene.clip.width} x {clip.scene.clip.height}"
-    printed, corrected = timed.values()
-    why = (
-        "the paper names real time as its aim, and no rate, picture size or machine; it"
-        " uses a graphics card, here there is none"
+def mirrored_room(clip: Clip, shot: Shot, picture: np.ndarray) -> np.ndarray:
+    """The picture (h, w, 3) uint8 with the object's pixels as a mirror in the room of the
+    clip, whose axes are the marker's.
+    """
+    world = World(clip.scene)
+    corners = shot.job.scene.model_corners_m
+    low = corners.min(0)
+    high = corners.max(0)
+    room = world.at(float(world.frame_times_s[shot.facts.index]))
+    # it throws its shadow
+    ball = [*(low + high) / 2, (high - low).max() / 2, *(0.5, 0.5, 0.5), 0]
+    # whatever light of the room comes from no lamp
+    sky = np.tile(np.asarray(room.ambient, float), (2, 4, 1))
+    room = room._replace(spheres=np.vstack([room.spheres, [ball]]), sky=sky)
+    covered = shot.layer(Layer.COVERAGE) > 0.5
+    normal, position = (
+        shot.layer(name)[covered].astype(float)
+        for name in (Layer.NORMAL, Layer.POSITION)
     )
-    yield row(
-        "frame rate",
-        "real time",
-        (printed.frames_per_s, corrected.frames_per_s),
-        f"frames/s at {size}, 64³ voxels",
-        why,
-    )
-    words = "voxels in the memory of the graphics card"
-    unit = "MB of the whole process"
-    yield row("memory", words, (printed.peak_mb, corrected.peak_mb), unit, why)
-    stages = sorted(printed.stage_s | corrected.stage_s)
-    yield Bars(
-        "frame rate",
-        "time of a frame by stage",
-        "ms",
-        stages,
-        {
-            name: [1e3 * t.stage_s.get(stage, 0.0) for stage in stages]
-            for name, t in timed.items()
-        },
-    )
+    seen = position - shot.facts.pose.inverse().translation_m
+    towards = seen - 2 * (seen * normal).sum(-1, keepdims=True) * normal
+    light, _ = radiance(mirror_rays(position + _LIFT_M * normal, towards), room)
+    unit = normalise(towards)
+    for lamp in room.lights:
+        cosine = 1 / np.hypot(1, lamp[6])  # of half its angular size
+        light[unit @ lamp[:3] > cosine] += lamp[3:6] / (2 * (1 - cosine))
+    out = picture.copy()
+    out[covered] = np.rint(
+        255 * SRGB.encode(np.clip(REFLECTED * light, 0, 1))
+    ).astype(np.uint8)
+    return out
+
+
+def mirror_rays(origins: np.ndarray, towards: np.ndarray) -> Rays:
+    """From points (n, 3) in directions (n, 3) of any length, each as wide as `FOOTPRINT_RAD`."""
+    forward = normalise(towards)
+    aside = normalise(np.cross(forward, np.eye(3)[np.abs(forward).argmin(-1)]))
+    spans = FOOTPRINT_RAD * np.stack([aside, np.cross(forward, aside)], 1)
+    return Rays(origins, forward, spans, np.zeros(len(forward)))

@@ -115,15 +115,6 @@ class Shot(NamedTuple):
         )
         return self._replace(chain=tuple(steps))
 
-    def seconds(self, stage: str, repeats: int = 5) -> float:
-        """Median wall-clock time of one stage on this frame; what it prepares and keeps is
-        not counted.
-        """
-        chain = self.up_to(stage)
-        run = self.renderer.run(chain)
-        out = self.renderer.out(chain)
-        return median_s(lambda: run.rerun(out), repeats)
-
 
 @dataclass
 class Work:
@@ -179,17 +170,13 @@ class Work:
         return shot_of(self.planned(clip, settings), index)
 
     def timed(self, clip: Clip, settings: Settings) -> Timed:
-        """The whole job in a process of its own, so that its memory is its own.
-
-        In the short form one frame's stages in this.
+        """The whole job in a process of its own, so that its memory is its own; in the
+        short form in this.
         """
+        own = clip.folder, clip.scene.clip.fps, settings
         if self.short:
-            shot = self.shot(clip, settings)
-            seconds = {stage: shot.seconds(stage, 1) for stage in shot.stages}
-            return Timed(1 / sum(seconds.values()), seconds, peak_mb(), peak_mb())
-        timed: Timed = self.apart(
-            timed_job, clip.folder, clip.scene.clip.fps, settings
-        )
+            return timed_job(*own)
+        timed: Timed = self.apart(timed_job, *own)
         return timed
 
     def apart(self, function: Callable[..., Any], *arguments: Any) -> Any:

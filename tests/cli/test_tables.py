@@ -44,14 +44,14 @@ def test_a_length_with_a_line_end_is_shown_in_one_line(arfx: Run) -> None:
 
 def test_names_of_stages_are_escaped_in_a_page() -> None:
     level = {
-        "level": "mixed",
+        "level": "draft",
         "formula": "corrected",
         "levels": {"a<b>&c": "draft"},
         "between_s": (0.1, 0.1),
         "seconds_per_frame": 0.1,
         "ssim": 1.0,
     }
-    effect = {"name": "a<b>&c", **level, "level": "draft"}
+    effect = {"name": "a<b>&c", **level}
     page = render(
         "measure/tradeoff.html",
         clip="clip.mp4",
@@ -62,7 +62,6 @@ def test_names_of_stages_are_escaped_in_a_page() -> None:
         },
         effects=[effect],
         pipelines=[level],
-        pipeline_plot=lambda rows: b"",
-        effect_plot=lambda rows: b"",
+        error_plot=lambda rows, title: b"",
     )
-    assert "a<b>" not in page and "a&lt;b&gt;&amp;c draft" in page
+    assert "a<b>" not in page and "a&lt;b&gt;&amp;c" in page

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from arfx.core.colour import SRGB
-from arfx.core.cost import Prediction, measured
+from arfx.core.cost import Prediction, Price, Prices, measured
 from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
@@ -28,13 +28,7 @@ from arfx.measure.tradeoff_html import (
     page,
     recommendation,
 )
-from arfx.measure.tradeoff_pipelines import (
-    LEFT_OUT,
-    Row,
-    front,
-    level_sets,
-    worth_showing,
-)
+from arfx.measure.tradeoff_pipelines import LEFT_OUT, Row, front
 from arfx.measure.tradeoff_time import Times
 from arfx.plan.planner import plan_frame
 from arfx.run.parameters import stages_of
@@ -42,6 +36,7 @@ from arfx.stages import STAGES
 from tests.scenes import camera, facts, look_at, scene
 
 NOISE = np.random.default_rng(0)
+NONE: Mapping[str, Price] = {}
 
 
 def row(
@@ -69,7 +64,7 @@ def found() -> Measurements:
                row("dof", "standard", 0.02, 0.4, 5), row("dof", "reference", 2.0, 0, 0),
                row("dof", "standard", 0.03, 4.0, 40, formula="paper")]  # fmt: skip
     whole = [row("pipeline", "draft", 0.02, 1.8, 28), row("pipeline", "standard", 0.05, 0.8, 6),
-             row("pipeline", "mixed", 0.06, 0.9, 6), row("pipeline", "reference", 2.0, 0, 0),
+             row("pipeline", "high", 0.06, 0.9, 6), row("pipeline", "reference", 2.0, 0, 0),
              row("pipeline", "usual", 0.001, 5.0, 50, formula="paper")]  # fmt: skip
     samples = [Sample(3, dict.fromkeys(NAMES, 1.0), "typical")]
     return Measurements(
@@ -84,7 +79,7 @@ def found() -> Measurements:
 def told(f: Measurements) -> dict[str, Any]:
     def line(r: Row) -> dict[str, Any]:
         return {"name": r.name, "level": r.level, "formula": r.formula, "levels": {"dof": r.level}, "beaten": False,
-                "seconds_per_frame": r.seconds, "between_s": [r.seconds, 2 * r.seconds],
+                "seconds_per_frame": r.seconds, "between_s": [r.seconds, 2 * r.seconds], "predicted": r.level == "reference",
                 "mean": r.average("mean"), "mean_worst": r.worst("mean"), "p99": r.worst("p99"), "flip": r.average("flip"),
                 "delta_e": r.average("delta_e"), "ssim": r.average("ssim"),
                 "worst_frame": 3, "unrest": {"level": 1.0, "reference": 0.9}}  # fmt: skip
@@ -161,7 +156,6 @@ def test_a_window_shows_what_the_whole_picture_shows() -> None:
     assert np.array_equal(picture.image(()), picture.original())
     assert np.array_equal(picture.image(chain), whole.image(chain)[window.slices])
     assert (picture.image(chain) != picture.original()).any()
-    assert picture.seconds.keys() == {chain[: k + 1] for k in range(len(chain))}
 
 
 def tiny_frame(stages: Mapping[str, Stage]) -> FrameRenderer:
@@ -267,37 +261,19 @@ def test_the_front_holds_only_what_nothing_beats() -> None:
     assert [r.level for r in front(own)] == ["draft", "standard", "reference"]
 
 
-def test_the_way_down_goes_by_error_per_second_over_all_effects_and_leaves_out_at_last() -> (
-    None
-):
-    effects = [row("raster", "draft", 0.01, 2.0, 9), row("raster", "high", 0.02, 1.0, 9), row("raster", "reference", 5, 0, 0),
-               row("gi", LEFT_OUT, 0.0, 20.0, 9), row("gi", "draft", 0.05, 6.0, 9), row("gi", "standard", 0.06, 6.5, 9),
-               row("gi", "high", 0.3, 2.0, 9), row("gi", "reference", 50, 0, 0)]  # fmt: skip
-    sets = level_sets(
-        effects, {"raster": "standard", "composite": "standard", "gi": "standard"}
-    )
-    assert [(s.get("raster"), s.get("gi")) for s in sets] == [
-        ("reference", "reference"), ("reference", "high"), ("high", "high"), ("high", "draft"), ("draft", "draft"),
-        ("draft", None),
-    ]  # fmt: skip
-    assert all(s["composite"] == "standard" for s in sets), (
-        "what has one level keeps it; what is worse for more time is not there"
-    )
-    for r in effects:
-        if r.name == "raster":
-            r.by_frame[3] = Difference(r.average("mean"), 9, pixels=90_000)
-    assert ("draft", "draft") not in [
-        (s.get("raster"), s.get("gi")) for s in level_sets(effects, {})
-    ], "a larger part counts more"
-
-
-def work_of(frame: FrameRenderer, levels: Mapping[str, str]) -> _Work:
+def work_of(
+    frame: FrameRenderer,
+    levels: Mapping[str, str],
+    prices: Mapping[str, Price] = NONE,
+) -> _Work:
     """A tradeoff of one frame."""
     params = {n: kind.Params() for n, kind in STAGES.items()}
     config = SimpleNamespace(params=params)
     inputs = SimpleNamespace(config=config, camera=frame.prepared.scene.camera)
     job: Any = SimpleNamespace(stages=frame.stages, inputs=inputs)
-    return _Work(job, [3], {3: frame}, None, levels, levels, Times([frame], {}))
+    return _Work(
+        job, [3], {3: frame}, None, levels, levels, Times([frame], {}, Prices(prices))
+    )
 
 
 def stages_named(*names: str) -> Mapping[str, Stage]:
@@ -324,60 +300,33 @@ def test_pictures_are_as_large_as_the_references_leave_time_for(
     best = {"raster": "reference", "gi": "reference"}
     frame = tiny_frame(stages_named("raster", "gi"))
     whole = frame.plan.changed.area
+    areas = [step.out.area for step in frame.plan.steps]
     for asked, dear_s, expected in (
-        (whole // 4, None, whole // 4),
-        (4 * whole, None, whole),
-        (None, 20.0, 0.5 * whole),
-        (None, 1.0, whole),
+        (whole // 4, 20.0, whole // 4),
+        (4 * whole, 20.0, whole),
+        (None, 60.0, 1 / sum(1 / area for area in areas)),
+        (None, 3.0, whole),
     ):
-        work = work_of(frame, best)
-        if dear_s is not None:
-            work.times.slow_s = {
-                (n, "reference"): (dear_s, dear_s / whole) for n in best
-            }
+        prices = {f"{n}/reference": Price({"frames": dear_s}, 0.1) for n in best}
+        work = work_of(frame, best, prices)
         _choose_windows(work, [best], asked)
         assert work.frames[3].window.area == pytest.approx(expected, rel=0.1)
-        assert dear_s is not None or not work.times.slow_s, (
-            "no reference is asked for its time"
-        )
 
 
 def test_a_step_is_timed_upon_the_steps_before_it_that_are_not_left_out(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     upon: list[Chain] = []
-    monkeypatch.setattr(Times, "of", lambda self, chain, pictures: upon.append(chain))
+    monkeypatch.setattr(
+        Times, "of", lambda self, chain: upon.append(chain) or measured(0.0)
+    )
     frame = tiny_frame(stages_named("raster", "lightmap", "composite"))
     work = work_of(frame, dict.fromkeys(frame.stages, "reference"))
     levels = {"raster": "reference", "composite": "standard"}
-    work.step_time("composite", Row("composite", "standard", "", levels=levels))
+    work.time(Row("composite", "standard", "", levels=levels))
     assert [(s.name, level) for s, level in upon[0]] == [
         ("raster", frame.stages["raster"].levels[-2]),
         ("composite", "standard"),
-    ]
-
-
-def test_pipelines_between_the_qualities_are_shown_where_nothing_beats_them_and_none_is_near() -> (
-    None
-):
-    named = (
-        ("draft", 0.02, 2.0),
-        ("standard", 0.05, 0.8),
-        ("high", 0.3, 0.9),
-        ("reference", 9, 0),
-    )
-    between = ((0.1, 0.5), (0.11, 0.49), (0.03, 2.1), (0.06, 0.7), (0.004, 5))
-    rows = [
-        row("pipeline", *of, 9)
-        for of in (*named, *(("mixed", *of) for of in between))
-    ]
-    assert [r.seconds for r in worth_showing(rows)] == [
-        0.004,
-        0.02,
-        0.05,
-        0.1,
-        0.3,
-        9,
     ]
 
 
@@ -386,6 +335,7 @@ def test_the_page_holds_everything_and_little_enough() -> None:
     html = page(f, told(f))
     assert "a&lt;b&gt;.mp4" in html and "error × 8" in html and len(html) < MOST_BYTES
     assert html.count("standard (paper)") >= 2 and "usual (paper)" in html
+    assert html.count("≈ 2") == 2, "what was not measured is marked"
     assert "http://" not in html.replace("http://www.w3.org", "")
     reference = np.full((4, 5, 3), 100, np.uint8)
     assert (error_map(reference, reference + 3) == 152).all() and (

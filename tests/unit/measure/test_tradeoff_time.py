@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from arfx.core.cost import Price, Prices
 from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
 from arfx.core.stage import Stage, View
-from arfx.measure import steps
-from arfx.measure.steps import FrameRenderer, PreparedStages, window_of
+from arfx.measure.steps import FrameRenderer, PreparedStages
 from arfx.measure.timing import Stopwatch
 from arfx.measure.tradeoff_time import Times
 from tests.scenes import camera, facts, look_at, scene
@@ -57,33 +56,26 @@ class Clock(Stopwatch):
         return float(self.stage.now_s - start)  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("rest_s", [0.0, 2e-6, BOX_S])
-def test_a_window_tells_a_whole_frame_within_its_interval(
-    rest_s: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    s, stage, frame = slow_frame(rest_s)
-    monkeypatch.setattr(steps, "PROCESSOR", Clock(stage))
-    times = Times([frame], {}, Clock(stage))
+def test_a_reference_that_is_slow_is_predicted_by_the_price_list() -> None:
+    _, stage, frame = slow_frame(2e-6)
     chain = frame.chain({"slow": "reference"})
-    alone, per_px = times.alone_and_per_px(chain)
-    picture = replace(
-        frame, window=window_of(frame.plan, frame.facts, s.camera.rect, 20_000)
-    )
-    picture.image(chain)
-    start, truth = stage.now_s, float(stage.seconds[frame.plan.changed.slices].sum())
-    found = times.of(chain, [picture])
-    assert stage.now_s == start, "its picture alone is timed"
-    assert found.low_s <= ALONE_S + truth <= found.high_s
-    assert found.low_s < found.seconds < found.high_s
-    assert 0.3 * BOX_S < per_px < 1.2 * BOX_S
-    assert alone == pytest.approx(ALONE_S + 256 * BOX_S, rel=0.01)
-    assert times.of(chain, []).seconds == 0, "in no frame"
+    area = frame.plan.changed.area / 1e6
+    dear = {"slow/reference": Price({"mpx": 10 / area}, 0.2)}
+    times = Times([frame], {}, Prices(dear, calibrated=True), Clock(stage))
+    found = times.of(chain)
+    assert found.seconds == pytest.approx(10) and times.is_slow(chain)
+    assert found.low_s < 10 < found.high_s and stage.now_s == 0
+    cheap = {"slow/reference": Price({"mpx": 1 / area}, 0.2)}
+    for prices in (cheap, {}):
+        times = Times([frame], {}, Prices(prices), Clock(stage))
+        truth = ALONE_S + float(stage.seconds[frame.plan.changed.slices].sum())
+        assert times.of(chain).seconds == pytest.approx(truth), "it is run"
 
 
 def test_what_is_fast_is_run_over_the_whole() -> None:
     _, stage, frame = slow_frame(2e-6)
-    times = Times([frame], {}, Clock(stage))
-    found = times.of(frame.chain({"slow": "draft"}), [])
+    times = Times([frame], {}, Prices({}), Clock(stage))
+    found = times.of(frame.chain({"slow": "draft"}))
     truth = 1e-3 * (ALONE_S + float(stage.seconds[frame.plan.changed.slices].sum()))
     assert found.seconds == pytest.approx(truth)
 
@@ -94,8 +86,8 @@ def test_a_light_that_is_new_in_every_other_frame_costs_half_of_what_it_takes() 
     found = []
     for new in (0.0, 0.5):
         _, stage, frame = slow_frame(2e-6)
-        times = Times([frame], {"slow": new}, Clock(stage))
-        found.append(times.of(frame.chain({"slow": "draft"}), []).seconds)
+        times = Times([frame], {"slow": new}, Prices({}), Clock(stage))
+        found.append(times.of(frame.chain({"slow": "draft"})).seconds)
     assert found[1] - found[0] == pytest.approx(0.5 * NEW_S * 1e-3, rel=0.01)
 
 

@@ -26,10 +26,9 @@ def filled(
     cells: np.ndarray,
     alpha: float = 1.0,
     normal: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    stored: bool = False,
 ) -> Volumes:
     normals = np.tile(normal, (len(cells), 1))
-    return octree_of(CUBE, cells, normals, np.full(len(cells), alpha), stored)
+    return octree_of(CUBE, cells, normals, np.full(len(cells), alpha))
 
 
 def scene_volumes(n: int) -> Volumes:
@@ -43,11 +42,10 @@ def traced(
     steps: list[list[float]],
     start: list[float],
     d: list[float],
-    scaled: bool = False,
 ) -> np.ndarray:
     walk = np.array(steps, np.float32)
     return np.asarray(
-        cone_trace(volumes, V, walk, np.array([start]), np.array([[d]]), scaled)[0, 0]
+        cone_trace(volumes, V, walk, np.array([start]), np.array([[d]]))[0, 0]
     )
 
 
@@ -60,27 +58,6 @@ def test_a_wall_one_voxel_thick_leaks() -> None:
     assert got[3] == pytest.approx(0.875), "a cone eight voxels wide at the wall"
     got = traced(wall, nothing, [[9.5, 0, 1.0]], [-2, 8, 8], [1, 0, 0])
     assert got[3] == 0, "one as wide as a voxel"
-
-
-def test_the_mean_of_stored_children_keeps_a_wall_opaque_and_makes_it_fat() -> None:
-    wall = filled(WALL, stored=True)
-    opacity = [wall.tree.eta[wall.rows_of(level), 3] for level in range(4)]
-    assert [set(a.tolist()) for a in opacity] == [{1.0}] * 4
-    nothing = np.zeros((len(wall.tree.eta), 3), np.float32)
-    assert traced(wall, nothing, [[6.0, 3, 1.0]], [-2, 8, 8], [1, 0, 0])[3] == 0
-
-
-@pytest.mark.parametrize("parts", [1, 2, 4, 8])
-def test_scaled_radiance_does_not_depend_on_how_a_step_is_cut(parts: int) -> None:
-    """What a glowing medium sends is 1 - (what it lets through)."""
-    cells = np.argwhere(np.ones((N, N, N)))
-    half = filled(cells, 0.5)
-    V = half.filtered(np.full((len(cells), 3), 0.5))
-    walk = [[k / parts, 0, 1 / parts] for k in range(parts)]
-    got = traced(half, V, walk, [8, 8, 8], [1, 0, 0], scaled=True)
-    assert got[:3] == pytest.approx(0.5, abs=1e-5) and got[3] == pytest.approx(
-        0.5, abs=1e-5
-    )
 
 
 def test_nothing_empty_is_stored_and_everything_else_is_found() -> None:

@@ -27,17 +27,7 @@ def test_a_corner_cut_out_of_a_cell_is_not_convex() -> None:
     )
 
 
-def test_shares_of_labels_and_outlines_are_counted() -> None:
-    rect = Rect.of(64, 48)
-    sites = eq1_sites(rect, 6, 8, 0)
-    labels = cones(sites, np.ones(48), rect, 6, 8)
-    assert measure.nearest_share(sites, labels) == 1
-    assert measure.farthest(sites, labels) <= np.hypot(8, 8)
-    labels[:24] = labels.max()
-    assert (
-        measure.nearest_share(sites, labels) < 0.6
-        and measure.farthest(sites, labels) > 30
-    )
+def test_shares_of_outlines_are_counted() -> None:
     thing = np.zeros((20, 20), bool)
     thing[5:15, 5:15] = True
     border, edges = measure.outline(thing), np.zeros((20, 20), bool)
@@ -52,9 +42,7 @@ def test_the_corrected_measure_of_a_slope_is_the_printed_one_of_a_step() -> None
         assert corrected == pytest.approx(printed, rel=1e-3) and printed > 0.5
 
 
-def test_cells_of_a_plane_follow_its_depth_in_the_corrected_form_alone() -> None:
-    depth, printed, corrected = measure.areas_on_plane(4, 1)
+def test_printed_cells_of_a_plane_are_as_large_near_as_far() -> None:
+    depth, areas = measure.areas_on_plane(4, 1)
     assert (np.diff(depth) < 0).all() and depth[0] > 2 * depth[-1]
-    assert (
-        np.ptp(printed) < 0.05 * printed.mean() and corrected[0] > 1.8 * corrected[-1]
-    )
+    assert np.ptp(areas) < 0.05 * areas.mean()

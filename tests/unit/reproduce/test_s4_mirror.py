@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.reproduce.s4_mirror import mirror_rays
+from arfx.reproduce.s4_pictures import mirror_rays
 from arfx.synth.description import parse_scene
 from arfx.synth.picture import Picture
 from arfx.synth.tracer import radiance

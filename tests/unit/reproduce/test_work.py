@@ -57,7 +57,6 @@ def test_a_frame_is_rendered_under_either_formula(made: tuple[Work, Clip]) -> No
     assert np.abs(pictures[0].astype(int) - pictures[1]).max() > 8
     assert work.planned(clip, AS_PRINTED) is printed.job
     assert corrected.up_to("raster")[-1][0].name == "raster"
-    assert corrected.seconds("raster", 2) > 0
 
 
 def test_what_runs_apart_has_a_process_of_its_own(made: tuple[Work, Clip]) -> None:
