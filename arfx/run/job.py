@@ -262,7 +262,6 @@ def _size(
         workers,
         0 if threads or workers == 1 else workers,
         inputs.model.face_count / 1e6,
-        tuple(analysed.keys),
         frozenset(
             name
             for name, stage in stages.items()

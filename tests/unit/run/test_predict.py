@@ -1,5 +1,5 @@
-"""What a job is predicted to take beside its stages' work: who waits, what is decoded
-twice, what the report makes anew.
+"""What a job is predicted to take beside its stages' work: who waits, what the report
+makes anew.
 """
 
 from __future__ import annotations
@@ -35,7 +35,6 @@ SIZE = JobSize(
     workers=2,
     processes=0,
     mfaces=0.0,
-    keys=(0,),
     checked=frozenset(),
 )
 
@@ -58,8 +57,7 @@ def of(
 
 
 def test_work_that_lies_in_one_chunk_takes_as_long_as_alone() -> None:
-    size = replace(SIZE, keys=(0, 30, 60, 90))
-    spread, together = of(plans(range(0, 120, 4)), size), of(plans(range(30)), size)
+    spread, together = of(plans(range(0, 120, 4))), of(plans(range(30)))
     assert (
         spread.phases["stages"].seconds
         == pytest.approx(together.phases["stages"].seconds)
@@ -71,16 +69,6 @@ def test_work_that_lies_in_one_chunk_takes_as_long_as_alone() -> None:
     assert together.wall.seconds > spread.wall.seconds + 0.5, (
         "while one thread renders, the other has nothing left to do"
     )
-
-
-def test_the_second_thread_decodes_what_lies_before_its_stretch() -> None:
-    far, near = (
-        of(plans(range(120))),
-        of(plans(range(120)), replace(SIZE, keys=(0, 60))),
-    )
-    assert far.phases["decode"].seconds == pytest.approx(1.2 + 0.6) and near.phases[
-        "decode"
-    ].seconds == pytest.approx(1.2)
 
 
 def test_the_report_prepares_a_stage_again_whose_health_is_checked() -> None:
