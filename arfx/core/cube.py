@@ -85,38 +85,25 @@ def _between_texels(
     return texels.reshape(-1, 4), weights.reshape(-1, 4)
 
 
-def _weighed(
-    faces: np.ndarray, texels: np.ndarray, weights: np.ndarray
-) -> np.ndarray:
-    """(n, c) sums of texels of a cube (6, size, size, c); as `_between_texels`."""
-    near = faces.reshape(-1, faces.shape[-1])[texels]
-    return np.asarray(np.einsum("nk,nkc->nc", weights, near))
-
-
 def look_up(faces: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """(n, 3) radiance in directions (n, 3), axes of the cube (6, size, size, 3): linear
+    """(n, c) values in directions (n, 3), axes of the cube (6, size, size, c): linear
     between the texels of a face.
     """
-    return _weighed(faces, *_between_texels(faces.shape[1], directions))
-
-
-@lru_cache(maxsize=8)
-def _border(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """((6, size + 2, size + 2) whether a texel of `bordered` is one of its border, and of
-    those the texels of their neighbours and weights: `_between_texels`)."""
-    around = np.ones((6, size + 2, size + 2), bool)
-    around[:, 1:-1, 1:-1] = False
-    places = on_faces((np.arange(-1, size + 1) + 0.5) / size * 2 - 1)[around]
-    return around, *_between_texels(size, places)
+    texels, weights = _between_texels(faces.shape[1], directions)
+    near = faces.reshape(-1, faces.shape[-1])[texels]
+    return np.asarray(np.einsum("nk,nkc->nc", weights, near))
 
 
 def bordered(faces: np.ndarray) -> np.ndarray:
     """(6, n + 2, n + 2, c) of a cube (6, n, n, c): each face with a texel of its neighbours
     all around.
     """
-    around, *near = _border(faces.shape[1])
-    out = np.empty((*around.shape, faces.shape[-1]), faces.dtype)
-    out[:, 1:-1, 1:-1], out[around] = faces, _weighed(faces, *near)
+    n = faces.shape[1]
+    out = np.pad(faces, ((0, 0), (1, 1), (1, 1), (0, 0)))
+    around = np.ones(out.shape[:3], bool)
+    around[:, 1:-1, 1:-1] = False
+    places = on_faces((np.arange(-1, n + 1) + 0.5) / n * 2 - 1)
+    out[around] = look_up(faces, places[around])
     return out
 
 

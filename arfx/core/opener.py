@@ -97,15 +97,8 @@ def read_bytes(path: Path | str, kind: str) -> bytes:
     path = regular(path, kind)
     limit = LIMITS[kind] * MIB
     try:
-        # not blocking: what was a file a moment ago may be a pipe now
-        handle = os.open(
-            path,
-            os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0),
-        )
-        with os.fdopen(handle, "rb") as f:
-            status = os.fstat(handle)
-            _check_status(status, path, kind)
-            data = f.read(status.st_size + 1)
+        with path.open("rb") as f:
+            data = f.read(path.stat().st_size + 1)
             while len(data) <= limit and (more := f.read(MIB)):
                 data += more  # it grows, or is one of /proc, which say that they are empty
     except OSError as e:
