@@ -4,8 +4,9 @@ stale, and options of loops by lines.
 numba alone compiles for the very processor that it runs on, fails where neither the package
 nor the home can be written, passes over compiled code that came with a package that cannot
 be written, and does not see that a function of another module, which is compiled in, has
-changed. `configure_numba`, called before numba is imported, sets the target and
-`CacheLocator`. A folder of compiled code is named by the digest of all that it depends on."""
+changed. `configure_numba`, called before numba is imported, sets the target; `CacheLocator`
+says where code is kept. A folder of compiled code is named by the digest of all that it
+depends on."""
 
 from __future__ import annotations
 
@@ -29,10 +30,6 @@ from arfx.core.waiting import Notice
 
 # What the compiler may do to rounding in most loops
 FAST = {"contract", "nsz", "arcp"}
-_NUMBAS = (
-    "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator,"
-    "ZipCacheLocator"
-)
 # What every x86-64 processor since 2013 (Intel) or 2015 (AMD) can do: code for it can be shipped.
 TARGET = "x86-64-v3"
 _REQUIRED = {"abm", "avx2", "bmi1", "bmi2", "f16c", "fma", "movbe"}
@@ -41,15 +38,10 @@ _REQUIRED = {"abm", "avx2", "bmi1", "bmi2", "f16c", "fma", "movbe"}
 _SLP = "NUMBA_SLP_VECTORIZE"
 _PACKAGE = Path(__file__).parents[1]
 _COMPILES = re.compile(r"^@(line_)?kernel\b", re.MULTILINE)
-_LOCATORS = "NUMBA_CACHE_LOCATOR_CLASSES"
 
 
 def configure_numba() -> None:
     """Set numba's environment, for this process and those that it starts."""
-    ours = f"{__name__}.{CacheLocator.__name__}"
-    others = os.environ.get(_LOCATORS) or _NUMBAS
-    if ours not in others.split(","):
-        os.environ[_LOCATORS] = f"{ours},{others}"
     os.environ.setdefault(_SLP, "1")
     if target_cpu():
         os.environ.setdefault("NUMBA_CPU_NAME", TARGET)
@@ -71,9 +63,7 @@ def kernel(**options: Any) -> Any:
     second entry point for C, which would take an eighth of the time to compile.
 
     options : more of njit"""
-    return import_module("numba").njit(
-        cache=True, nogil=True, no_cfunc_wrapper=True, **options
-    )
+    return _numba().njit(cache=True, nogil=True, no_cfunc_wrapper=True, **options)
 
 
 def line_kernel(**options: Any) -> Any:
@@ -94,7 +84,6 @@ class CacheLocator:
 
     @classmethod
     def from_function(cls, function: FunctionType, file: str) -> CacheLocator | None:
-        _take_damaged_files_for_stale()
         ours = function.__module__.startswith("arfx.")
         return cls(function) if ours and Path(file).exists() else None
 
@@ -112,13 +101,16 @@ class CacheLocator:
 
 
 @functools.cache
-def _take_damaged_files_for_stale() -> None:
-    """numba alone fails when it reads one: cut short, or of a type that the code no longer
-    has. It is compiled again.
+def _numba() -> Any:
+    """numba, which asks `CacheLocator`. By itself it fails when it reads a damaged file, cut
+    short or of a type that the code no longer has: that is compiled again.
     """
-    kind = import_module("numba.core.caching").IndexDataCacheFile
+    caching = import_module("numba.core.caching")
+    caching.CacheImpl._locator_classes.insert(0, CacheLocator)
     for name, nothing in (("_load_index", dict), ("_load_data", lambda: None)):
-        setattr(kind, name, _or_nothing(getattr(kind, name), nothing))
+        load = getattr(caching.IndexDataCacheFile, name)
+        setattr(caching.IndexDataCacheFile, name, _or_nothing(load, nothing))
+    return import_module("numba")
 
 
 def _or_nothing(load: Any, nothing: Any) -> Any:

@@ -169,9 +169,7 @@ def test_code_for_a_type_that_is_gone_is_stale(
     name = f"renamed_{tmp_path.name}".replace("-", "_")
     (tmp_path / f"{name}.py").write_text("class Pair:\n    pass\n")
     module = importlib.import_module(name)
-    compiled.CacheLocator.from_function(
-        function(tmp_path / "f.py", "def f():\n    return 0\n"), "f.py"
-    )
+    compiled._numba()
     index = IndexDataCacheFile(str(tmp_path), "a.f-1.py311", "stamp")
     index.save(module.Pair, "code")
     assert index.load(module.Pair) == "code"
@@ -221,9 +219,7 @@ def test_nothing_else_names_the_flag() -> None:
 @pytest.mark.parametrize("ending", [".nbi", ".1.nbc"])
 @pytest.mark.parametrize("how", ["empty", "cut", "noise"])
 def test_a_damaged_file_is_stale(tmp_path: Path, ending: str, how: str) -> None:
-    compiled.CacheLocator.from_function(
-        test_a_damaged_file_is_stale, __file__
-    )  # which teaches numba
+    compiled._numba()
     kept = IndexDataCacheFile(str(tmp_path), "f", "stamp")
     kept.save("key", list(range(100)))
     file = tmp_path / f"f{ending}"
