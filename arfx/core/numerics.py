@@ -34,11 +34,11 @@ def divide(
     )  # a quotient by zero is never finite
 
 
-def normalise(v: np.ndarray, axis: int = -1) -> np.ndarray:
+def normalise(v: np.ndarray) -> np.ndarray:
     """Unit vectors; vectors shorter than EPS_LENGTH, or not finite, become zero vectors."""
     v = np.asarray(v)
     with np.errstate(all="ignore"):
-        n = np.linalg.norm(v, axis=axis, keepdims=True)
+        n = np.linalg.norm(v, axis=-1, keepdims=True)
         ok = (n > EPS_LENGTH) & np.isfinite(n)
         return np.where(ok, v / np.where(ok, n, 1), 0).astype(
             v.dtype if v.dtype.kind == "f" else float

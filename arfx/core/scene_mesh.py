@@ -39,7 +39,7 @@ class SceneMesh:
     uv : (n, 4) float32, both sets of texture coordinates, v = 0 at a picture's top row
     has_uv : (p, 2) bool, which of them a part has;  tangents : (n, 4) float32 as of `Part`, else 0
     faces : (m, 3) int32;  part : (m,) int32, of each face;  face_normal : (m, 3) float32, unit
-    materials : of each part;  object_of : (p,) int32, number of the object that a part belongs to
+    materials : of each part
     """
 
     centre_m: np.ndarray
@@ -53,7 +53,6 @@ class SceneMesh:
     part: np.ndarray
     face_normal: np.ndarray
     materials: tuple[Material, ...]
-    object_of: np.ndarray
 
     @cached_property
     def corners_m(self) -> np.ndarray:
@@ -70,25 +69,6 @@ class SceneMesh:
     def edges(self) -> Edges:
         """Of faces that may join in any way."""
         return _edges(self)
-
-    def sample(
-        self, count: int, seed: int = 0
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points spread evenly over the surface, area by area.
-
-        Returns face (count,) int64, barycentric weights (count, 3), positions (count, 3) float64
-        relative to `centre_m`; of no points where the faces have no area."""
-        area = np.linalg.norm(across(self.corners_m), axis=1)
-        if not area.sum() > 0:
-            return np.zeros(0, int), np.zeros((0, 3)), np.zeros((0, 3))
-        u = np.random.default_rng(seed).random((count, 2))
-        along = (np.arange(count) + 0.5) / count
-        face = np.searchsorted(np.cumsum(area) / area.sum(), along).clip(
-            0, len(area) - 1
-        )
-        folded = np.where(u.sum(1, keepdims=True) > 1, 1 - u, u)
-        weights = np.column_stack([1 - folded.sum(1), folded])
-        return face, weights, np.einsum("nk,nkc->nc", weights, self.corners_m[face])
 
 
 def across(corners: np.ndarray) -> np.ndarray:
@@ -132,7 +112,6 @@ def flatten(model: Model, world_from_model: np.ndarray) -> SceneMesh:
         ),
         face_normal=normalise(across(vertices[faces])).astype(np.float32),
         materials=tuple(p.material for p in parts),
-        object_of=np.zeros(len(parts), np.int32),
     )
 
 
