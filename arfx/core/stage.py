@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -24,8 +24,7 @@ from arfx.errors import ArfxError, RenderError
 LEVELS = ("draft", "standard", "high", "reference")  # cheapest first
 
 
-@dataclass(frozen=True, slots=True)
-class Demand:
+class Demand(NamedTuple):
     """What a stage would change in a frame.
     rect : pixels it may change, empty = it does not run, None = those that an earlier
     stage of the frame may change;  reason : in units
@@ -82,8 +81,7 @@ class View:
         return noise(self.rect, self.key, channel)
 
 
-@dataclass(frozen=True)
-class Check:
+class Check(NamedTuple):
     """An estimate beside its limit. action : what was done about it where it is not ok"""
 
     name: str
@@ -102,8 +100,7 @@ class Check:
         }
 
 
-@dataclass(frozen=True)
-class JobView:
+class JobView(NamedTuple):
     """A job whose frames are rendered.
     levels : those at which each stage ran;  picture : renders one frame of a scene by the
     stages named, at these levels, over a

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from arfx.core.cost import Prediction, Prices, measured
 from arfx.core.facts import FrameFacts
@@ -27,8 +26,7 @@ _NO_PRICE = Prediction(float("inf"), 0.0, float("inf"))
 PrepareCost = Callable[[str, str], Prediction | None]
 
 
-@dataclass(frozen=True)
-class LevelPolicy:
+class LevelPolicy(NamedTuple):
     """How levels are chosen: a quality by name, or a budget for the whole job, or an error.
 
     budget_s : seconds;  max_error : mean grey levels, over the pixels that are changed;  at
@@ -40,8 +38,7 @@ class LevelPolicy:
     max_error: float | None = None
 
 
-@dataclass(frozen=True)
-class ClipPlan:
+class ClipPlan(NamedTuple):
     """plans : of every frame;  choice : levels and what was predicted of them;  shots :
     first frame of each
     """

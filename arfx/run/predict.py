@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from arfx.config.sections import JobConfig
 from arfx.core.cost import Prediction, Prices, measured, sum_independent, with_spread
@@ -39,8 +38,7 @@ UNSHARED = (
 )  # phases that the workers do not share
 
 
-@dataclass(frozen=True)
-class JobSize:
+class JobSize(NamedTuple):
     """What of a job the price of everything but its stages depends on.
 
     frame_mpx : millions of pixels of a frame;  frames : of the job;  decode_s : of all
@@ -61,8 +59,7 @@ class JobSize:
     checked: frozenset[str]
 
 
-@dataclass(frozen=True)
-class JobPrediction:
+class JobPrediction(NamedTuple):
     """phases : seconds of each, summed over the workers, None = not known;  workers : at once
     share : of the seconds that the workers share, the fraction that passes on the wall clock
     """
@@ -262,13 +259,13 @@ def choose(
 ) -> tuple[list[FramePlan], dict[str, Any]]:
     """The plans of all frames, and {predicted, levels}: final, whatever the job measures later."""
     if config.pipeline.fps is not None:
-        policy = replace(policy, budget_s=len(facts) / config.pipeline.fps)
+        policy = policy._replace(budget_s=len(facts) / config.pipeline.fps)
 
     began = time.perf_counter()
 
     def by_now() -> JobSize:
-        return replace(
-            size, before_s=size.before_s + time.perf_counter() - began
+        return size._replace(
+            before_s=size.before_s + time.perf_counter() - began
         )  # planning takes its time too
 
     def upper_s(plans: Sequence[FramePlan], work: Prediction) -> float:

@@ -76,7 +76,7 @@ def test_the_report_prepares_a_stage_again_whose_health_is_checked() -> None:
     found = predict(
         frames,
         time_of_stages(frames),
-        replace(SIZE, checked=frozenset({"gi", "dof"})),
+        SIZE._replace(checked=frozenset({"gi", "dof"})),
         PRICES,
     )
     assert (
@@ -95,7 +95,7 @@ def test_one_thread_alone_is_faster_and_a_phase_without_price_makes_the_whole_un
 ):
     alone = of(plans(range(30)), prices=replace(PRICES, alone=0.6))
     assert alone.wall.seconds < of(plans(range(30))).wall.seconds - 0.2
-    assert of(plans(range(30)), replace(SIZE, codec="av1")).wall is None
+    assert of(plans(range(30)), SIZE._replace(codec="av1")).wall is None
 
 
 def test_what_planning_takes_is_in_the_prediction(monkeypatch) -> None:
@@ -115,7 +115,7 @@ def test_what_planning_takes_is_in_the_prediction(monkeypatch) -> None:
 
 
 def test_a_lone_worker_encodes_while_it_renders() -> None:
-    one = replace(SIZE, workers=1)
+    one = SIZE._replace(workers=1)
     slow_render, slow_encode = (
         of(plans(range(120)), one),
         of([], one),
