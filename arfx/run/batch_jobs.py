@@ -63,7 +63,7 @@ def batch_jobs(
     """
     jobs: list[BatchJob] = []
     problems: list[str] = []
-    clips: dict[Path, Path] = {}
+    clips = set[Path]()
     usual: JobConfig | None = None
     for text in inputs:
         path = Path(text)
@@ -87,7 +87,7 @@ def batch_jobs(
             if clip.absolute() not in clips:
                 usual = usual or load_job([])
                 jobs.append(_job(usual, clip, pattern or usual.output.path))
-                clips[clip.absolute()] = clip
+                clips.add(clip.absolute())
     if problems:
         raise ConfigError(listed(problems))
     if not jobs:
@@ -130,11 +130,7 @@ def clips_at(text: str) -> list[Path]:
         if p.suffix.lower() in CLIP_SUFFIXES
         and not p.name.startswith(".")
         and p.is_file()
-    ]
-    clips = [
-        p
-        for p in clips
-        if not (p.parent.name == "chunks" and JobFolder(p.parent.parent).job.exists())
+        and not (p.parent.name == "chunks" and JobFolder(p.parents[1]).job.exists())
     ]
     made = {
         p for folder in {p.parent for p in clips} for p in OutputsMade(folder).files()
