@@ -65,7 +65,6 @@ def tile_ranges(depth_m: np.ndarray, size: tuple[int, int]) -> np.ndarray:
         dioptre = np.where(known, 1.0 / depth_m, 0.0)
     if not known.any():
         raise ValueError("no pixel of the map is known")
-    low, high = float(dioptre[known].min()), float(dioptre[known].max())
     # one pixel more on each side: the map is resampled to the frame
     rows, columns = (
         [
@@ -81,11 +80,10 @@ def tile_ranges(depth_m: np.ndarray, size: tuple[int, int]) -> np.ndarray:
         bands = np.stack([reduce.reduce(values[part]) for part in rows])
         return np.stack([reduce.reduce(bands[:, part], 1) for part in columns], 1)
 
-    whole = tiles(known, np.logical_and)
-    least, most = tiles(dioptre, np.minimum), tiles(dioptre, np.maximum)
-    return np.stack(
-        [np.where(whole, least, low), np.where(whole, most, high)]
-    ).astype("f4")
+    least = np.where(known, dioptre, dioptre[known].min())
+    most = np.where(known, dioptre, dioptre[known].max())
+    ranges = tiles(least, np.minimum), tiles(most, np.maximum)
+    return np.stack(ranges).astype("f4")
 
 
 @dataclass(frozen=True, eq=False)

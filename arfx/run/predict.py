@@ -112,13 +112,9 @@ def predict(
     edit = prices.predict("edit", edited) if changed else measured(0.0)
     whole = {"frames": float(size.frames), "mpx": size.frames * size.frame_mpx}
     encode = prices.predict(f"encode {size.codec}", whole)
-    share = _share(
-        plans,
-        work,
-        size,
-        *(0.0 if p is None else p.seconds for p in (edit, encode)),
-        1.0 if size.processes else prices.alone,
-    )
+    edit_s, encode_s = (0.0 if p is None else p.seconds for p in (edit, encode))
+    alone = 1.0 if size.processes else prices.alone
+    share = _share(plans, work, size, edit_s, encode_s, alone)
     phases = {
         "before": measured(size.before_s),
         "prepare": measured(0.0)
