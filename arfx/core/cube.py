@@ -68,30 +68,22 @@ def on_cube(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     )
 
 
-def _between_texels(
-    size: int, directions: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """((n, 4) numbers of the texels around directions (n, 3) in a cube of faces (size, size),
-    (n, 4) weights of them): linear between the texels of a face, the outermost beyond them.
-    """
-    face, *across = on_cube(np.asarray(directions, float))
-    # of each direction: column and row, of these the two around it
-    place = np.clip((np.stack(across, -1) + 1) / 2 * size - 0.5, 0, size - 1)
-    low = np.minimum(place.astype(np.intp), max(size - 2, 0))
-    near = np.stack([low, np.minimum(low + 1, size - 1)], -1)
-    share = np.stack([1 - (place - low), place - low], -1)
-    texels = (face[:, None, None] * size + near[:, 1, :, None]) * size + near[:, :1]
-    weights = share[:, 1, :, None] * share[:, :1]
-    return texels.reshape(-1, 4), weights.reshape(-1, 4)
-
-
 def look_up(faces: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """(n, c) values in directions (n, 3), axes of the cube (6, size, size, c): linear
-    between the texels of a face.
+    between the texels of a face, the outermost beyond them.
     """
-    texels, weights = _between_texels(faces.shape[1], directions)
-    near = faces.reshape(-1, faces.shape[-1])[texels]
-    return np.asarray(np.einsum("nk,nkc->nc", weights, near))
+    n = faces.shape[1]
+    face, *across = on_cube(np.asarray(directions, float))
+    place = np.clip((np.stack(across) + 1) / 2 * n - 0.5, 0, n - 1)
+    low = place.astype(np.intp)
+    (x, y), (right, below) = low, np.minimum(low + 1, n - 1)
+    u, v = (place - low)[..., None]
+    return (
+        (1 - v) * (1 - u) * faces[face, y, x]
+        + (1 - v) * u * faces[face, y, right]
+        + v * (1 - u) * faces[face, below, x]
+        + v * u * faces[face, below, right]
+    )
 
 
 def bordered(faces: np.ndarray) -> np.ndarray:
