@@ -37,17 +37,9 @@ class BatchJob:
     """
 
     config: JobConfig
+    clip: Path
+    output: Path
     root: Path
-
-    @property
-    def clip(self) -> Path:
-        assert self.config.input.clip is not None
-        return self.config.input.clip
-
-    @property
-    def output(self) -> Path:
-        assert self.config.output.path is not None
-        return self.config.output.path
 
 
 def batch_jobs(
@@ -107,10 +99,8 @@ def _job(config: JobConfig, clip: Path | None, pattern: Path | None) -> BatchJob
         "input": config.input.model_copy(update={"clip": clip}),
         "output": config.output.model_copy(update={"path": output}),
     }
-    return BatchJob(
-        config.model_copy(update=update),
-        fixed_folder(pattern.parent if names_sequence(pattern) else pattern),
-    )
+    root = fixed_folder(pattern.parent if names_sequence(pattern) else pattern)
+    return BatchJob(config.model_copy(update=update), clip, output, root)
 
 
 def clips_at(text: str) -> list[Path]:
@@ -149,6 +139,7 @@ def check_batch(jobs: Sequence[BatchJob], kept: bool) -> None:
 
     kept : outputs that are there are not to be replaced
     Raises ConfigError, InputError."""
+    prices = load_prices()
     for job in jobs:
         if "\0" in f"{job.clip}{job.output}":
             raise ConfigError(
@@ -160,11 +151,7 @@ def check_batch(jobs: Sequence[BatchJob], kept: bool) -> None:
         choose_format(
             job.output, OutputSettings(o.codec, o.crf, o.preset, o.pixel_format)
         )
-    prices = load_prices()
-    for config in {
-        tuple(map(id, job.config.params.values())): job.config for job in jobs
-    }.values():  # clips of one folder share them
-        level_policy(config, make_stages(config), prices)
+        level_policy(job.config, make_stages(job.config), prices)
     _check_distinct(jobs)
     guard = Guard({read for job in jobs for read in files_named(job.config)})
     for job in jobs:
