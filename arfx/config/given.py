@@ -1,7 +1,5 @@
 """What the command line gives a job, options and --set, as the nested tables of a job file."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import reduce

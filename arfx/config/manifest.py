@@ -5,8 +5,6 @@ A column, or a key of a [[job]], is an option of `process` that takes a value, w
 dashes (clip, camera, output, fit), or a setting: in CSV as `section.key`, in TOML in a
 table of the [[job]]. `config` names a job file that it is laid over."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Collection, Iterator, Mapping, Sequence

@@ -3,8 +3,6 @@
 The frames of an epoch, in which little moves, share one set of positions. Paint laid out in
 these moves with the scene."""
 
-from __future__ import annotations
-
 import base64
 import zlib
 from dataclasses import dataclass

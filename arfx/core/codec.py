@@ -1,8 +1,6 @@
 """Dataclasses as JSON, and back: `Document`, by pydantic, with annotations for what JSON has
 no words for."""
 
-from __future__ import annotations
-
 import base64
 import math
 from collections.abc import Mapping

@@ -5,8 +5,6 @@ Distances run along the optical axis from the lens. In dioptres (1 / distance) t
 circle is affine: there is no pole at infinity and none at the hyperfocal distance. Source:
 docs/methods/dof.md#lens."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """A virtual model as triangles with materials, whatever file it came from."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -3,8 +3,6 @@
 A 32-bit integer hash (the finaliser of MurmurHash3, A. Appleby) of key, channel and
 position. Cost: 5 ns a pixel."""
 
-from __future__ import annotations
-
 import zlib
 
 import numpy as np

@@ -3,8 +3,6 @@
 No other module divides by data, takes an arccos of data or normalises data without going
 through here."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

@@ -4,8 +4,6 @@ A name is never an address, a protocol or a pattern. Devices, pipes, sockets and
 refused before they are opened. Files that libraries read themselves (FFmpeg, OpenCV) pass
 `regular` first; what the formats may hold is checked by their readers."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

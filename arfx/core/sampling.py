@@ -1,8 +1,6 @@
 """Point sequences that fill a disc, a square, a hemisphere or a sphere evenly, and axes about
 a normal."""
 
-from __future__ import annotations
-
 import numpy as np
 
 GOLDEN_RAD = float(np.pi * (3 - np.sqrt(5)))

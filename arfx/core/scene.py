@@ -3,8 +3,6 @@
 Fixed for a whole clip.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property

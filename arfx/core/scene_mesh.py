@@ -1,7 +1,5 @@
 """The one flattening of a model: all its parts as one set of triangles in world axes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Lengths and times as people write them."""
 
-from __future__ import annotations
-
 import math
 import re
 

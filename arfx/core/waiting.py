@@ -2,8 +2,6 @@
 a library's loop.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, wait

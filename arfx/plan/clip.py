@@ -1,7 +1,5 @@
 """The plan of a whole clip: levels shot by shot, then one plan per frame. Pure."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple

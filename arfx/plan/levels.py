@@ -7,8 +7,6 @@ second saved than the one before. All steps of a clip, sorted by that rate, are 
 the reference down to the cheapest: a budget or an error only says where on it to stop. So
 less budget never means less error, and never more predicted time."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from bisect import bisect_left

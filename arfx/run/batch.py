@@ -4,8 +4,6 @@ and what they share is loaded once.
 Model, its voxels and what its shadow needs, prices and compiled code are kept by those who
 load them."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Which clips a batch has, the job of each, and what can be refused before any work."""
 
-from __future__ import annotations
-
 import glob
 import os
 from collections import Counter

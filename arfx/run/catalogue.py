@@ -3,8 +3,6 @@ Markdown text.
 
 `arfx stages` prints it, and docs/stages.md is the same text."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Mapping
 from pathlib import Path

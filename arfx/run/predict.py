@@ -7,8 +7,6 @@ beside it) + what every worker prepares
 prepares again.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, NamedTuple
