@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.codec import Document
 from arfx.core.numerics import divide, normalise
 
 
 @lru_cache(maxsize=4)
-def face_directions(size: int) -> np.ndarray:
+def face_directions(size: int) -> ndarray:
     """(6, size, size, 3) unit directions of the texels' centres.
     A face's rows and columns run along the other two axes, the last of them towards -z on
     the sides: with camera axes (x right, y down, z forward) a picture lies upright on
@@ -23,7 +24,7 @@ def face_directions(size: int) -> np.ndarray:
     return out
 
 
-def on_faces(t: np.ndarray) -> np.ndarray:
+def on_faces(t: ndarray) -> ndarray:
     """(6, n, n, 3) places on the planes of the faces, at t (n,) along rows and columns; a
     face ends at -1 and 1.
     """
@@ -41,19 +42,19 @@ def on_faces(t: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=4)
-def solid_angles(size: int) -> np.ndarray:
+def solid_angles(size: int) -> ndarray:
     """(size, size) steradians of a face's texels; six faces make 4 pi exactly."""
     t = np.arange(size + 1) / size * 2 - 1
     v, u = np.meshgrid(t, t, indexing="ij")
     corner = np.arctan2(u * v, np.sqrt(u * u + v * v + 1))
-    out: np.ndarray = (
+    out: ndarray = (
         corner[1:, 1:] - corner[1:, :-1] - corner[:-1, 1:] + corner[:-1, :-1]
     )
     out.setflags(write=False)
     return out
 
 
-def on_cube(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def on_cube(directions: ndarray) -> tuple[ndarray, ndarray, ndarray]:
     """(face (n,), u, v (n,) in -1..1, along columns and rows) of directions (n, 3) of any
     length.
     """
@@ -68,7 +69,7 @@ def on_cube(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     )
 
 
-def look_up(faces: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def look_up(faces: ndarray, directions: ndarray) -> ndarray:
     """(n, c) values in directions (n, 3), axes of the cube (6, size, size, c): linear
     between the texels of a face, the outermost beyond them.
     """
@@ -86,7 +87,7 @@ def look_up(faces: np.ndarray, directions: np.ndarray) -> np.ndarray:
     )
 
 
-def bordered(faces: np.ndarray) -> np.ndarray:
+def bordered(faces: ndarray) -> ndarray:
     """(6, n + 2, n + 2, c) of a cube (6, n, n, c): each face with a texel of its neighbours
     all around.
     """
@@ -99,7 +100,7 @@ def bordered(faces: np.ndarray) -> np.ndarray:
     return out
 
 
-def resampled(faces: np.ndarray, size: int) -> np.ndarray:
+def resampled(faces: ndarray, size: int) -> ndarray:
     """(6, size, size, c) of a cube (6, n, n, c) with fewer texels: linear between them,
     over the edges too.
     """
@@ -112,7 +113,7 @@ def resampled(faces: np.ndarray, size: int) -> np.ndarray:
 
 
 @lru_cache(maxsize=2)
-def _nearby(size: int, reach_deg: float) -> np.ndarray:
+def _nearby(size: int, reach_deg: float) -> ndarray:
     """(texels, texels) weights of `spread`; rows sum to 1."""
     d = face_directions(size).reshape(-1, 3)
     angle = np.degrees(np.arccos(np.clip(d @ d.T, -1, 1)))
@@ -120,7 +121,7 @@ def _nearby(size: int, reach_deg: float) -> np.ndarray:
     return np.asarray((weight / weight.sum(1, keepdims=True)).astype(np.float32))
 
 
-def spread(faces: np.ndarray, reach_deg: float) -> np.ndarray:
+def spread(faces: ndarray, reach_deg: float) -> ndarray:
     """(6, n, n, c) float32 of a cube: each texel the mean of all, whose weight falls to 1 /
     e within an angle. n <= 16: its cost is O(n^4)"""
     return (
@@ -160,9 +161,9 @@ class CubeMap(Document):
 
     @staticmethod
     def of(
-        faces: np.ndarray,
-        axes: np.ndarray | None = None,
-        plane_rgb: np.ndarray | None = None,
+        faces: ndarray,
+        axes: ndarray | None = None,
+        plane_rgb: ndarray | None = None,
     ) -> CubeMap:
         """faces : (6, n, n, 3), clipped to +-6e4;  axes : (3, 3);  plane_rgb : (3,)"""
         data = base64.b64encode(
@@ -174,7 +175,7 @@ class CubeMap(Document):
         )
         return CubeMap(faces.shape[1], data, *rows)
 
-    def faces(self) -> np.ndarray:
+    def faces(self) -> ndarray:
         """(6, n, n, 3) float16"""
         return np.frombuffer(base64.b64decode(self.data), "<f2").reshape(
             6, self.size, self.size, 3

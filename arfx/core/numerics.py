@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 # Shortest vector with a direction: float64 rounding (2.2e-16) of coordinates up to 1e4 m
 # leaves 2e-12 m of noise.
@@ -22,8 +23,8 @@ HALF_GREY = 0.5 / 255.0
 
 
 def divide(
-    a: np.ndarray | float, b: np.ndarray | float, where_zero: float = 0.0
-) -> np.ndarray:
+    a: ndarray | float, b: ndarray | float, where_zero: float = 0.0
+) -> ndarray:
     """a / b, with `where_zero` where b is zero or the quotient is not finite. Broadcasts."""
     with np.errstate(all="ignore"):
         q = np.asarray(a, float) / np.asarray(b, float)
@@ -32,7 +33,7 @@ def divide(
     )  # a quotient by zero is never finite
 
 
-def normalise(v: np.ndarray) -> np.ndarray:
+def normalise(v: ndarray) -> ndarray:
     """Unit vectors; vectors shorter than EPS_LENGTH, or not finite, become zero vectors."""
     v = np.asarray(v)
     with np.errstate(all="ignore"):
@@ -43,12 +44,12 @@ def normalise(v: np.ndarray) -> np.ndarray:
         )
 
 
-def arccos(c: np.ndarray | float) -> np.ndarray:
+def arccos(c: ndarray | float) -> ndarray:
     """arccos with the argument clipped to [-1, 1]; rounding there is at most a few 1e-16."""
     return np.arccos(np.clip(c, -1.0, 1.0))
 
 
-def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def angle_between(a: ndarray, b: ndarray) -> ndarray:
     """Angle in radians between vectors (..., 3), accurate near 0 and pi (Kahan's atan2 form)."""
     a, b = normalise(np.asarray(a, float)), normalise(np.asarray(b, float))
     return 2.0 * np.arctan2(
@@ -56,16 +57,14 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     )
 
 
-def direction_of(
-    azimuth: np.ndarray | float, elevation: np.ndarray | float
-) -> np.ndarray:
+def direction_of(azimuth: ndarray | float, elevation: ndarray | float) -> ndarray:
     """Unit vectors (..., 3) of angles in radians: from x towards y, and from there towards z."""
     flat = np.cos(elevation)
     xyz = flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)
     return np.stack(xyz, -1)
 
 
-def condition(matrix: np.ndarray) -> float:
+def condition(matrix: ndarray) -> float:
     """2-norm condition number; inf for a singular, empty or non-finite matrix."""
     m = np.asarray(matrix, float)
     known = m.size > 0 and np.isfinite(m).all()
@@ -83,13 +82,13 @@ def finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def smoothstep(t: Any) -> np.ndarray:
+def smoothstep(t: Any) -> ndarray:
     """From 0 at t = 0 to 1 at t = 1, level at both and beyond."""
     t = np.clip(t, 0, 1)
     return np.asarray(t * t * (3 - 2 * t))
 
 
-def same_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def same_rows(rows: ndarray) -> tuple[ndarray, ndarray]:
     """Of rows (n, k): (m,) the first of each that differ, in their order, and (n,) which of
     these m each row is. As of np.unique(axis=0), in half its time; and Ctrl-C is heard
     meanwhile: it lets other threads work."""

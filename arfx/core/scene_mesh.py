@@ -5,6 +5,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.model import Material, Model
 from arfx.core.numerics import normalise, same_rows
@@ -22,9 +23,9 @@ class Edges(NamedTuple):
     one alone. An edge of more than two faces is listed once for each, as an edge of that face alone
     sharp : (e,) bool, it shows from whatever side it is seen"""
 
-    vertices: np.ndarray
-    faces: np.ndarray
-    sharp: np.ndarray
+    vertices: ndarray
+    faces: ndarray
+    sharp: ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,25 +41,25 @@ class SceneMesh:
     materials : of each part
     """
 
-    centre_m: np.ndarray
-    vertices: np.ndarray
-    normals: np.ndarray
-    colours: np.ndarray
-    uv: np.ndarray
-    has_uv: np.ndarray
-    tangents: np.ndarray
-    faces: np.ndarray
-    part: np.ndarray
-    face_normal: np.ndarray
+    centre_m: ndarray
+    vertices: ndarray
+    normals: ndarray
+    colours: ndarray
+    uv: ndarray
+    has_uv: ndarray
+    tangents: ndarray
+    faces: ndarray
+    part: ndarray
+    face_normal: ndarray
     materials: tuple[Material, ...]
 
     @cached_property
-    def corners_m(self) -> np.ndarray:
+    def corners_m(self) -> ndarray:
         """(m, 3, 3) float64, corners of the faces, relative to `centre_m`."""
         return np.asarray(self.vertices[self.faces])
 
     @cached_property
-    def hidden_behind(self) -> np.ndarray:
+    def hidden_behind(self) -> ndarray:
         """(m,) bool, faces that are not shown from behind."""
         one_sided = [not material.double_sided for material in self.materials]
         return np.array(one_sided, bool)[self.part]
@@ -69,12 +70,12 @@ class SceneMesh:
         return _edges(self)
 
 
-def across(corners: np.ndarray) -> np.ndarray:
+def across(corners: ndarray) -> ndarray:
     """(m, 3) out of triangles (m, 3, 3), as long as twice their area."""
     return np.cross(*np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0))
 
 
-def flatten(model: Model, world_from_model: np.ndarray) -> SceneMesh:
+def flatten(model: Model, world_from_model: ndarray) -> SceneMesh:
     """world_from_model : (4, 4), rigid times a uniform scale"""
     linear, shift_m = world_from_model[:3, :3], world_from_model[:3, 3]
     rotation = linear / np.cbrt(abs(np.linalg.det(linear)))
@@ -86,7 +87,7 @@ def flatten(model: Model, world_from_model: np.ndarray) -> SceneMesh:
     )
     faces = np.concatenate([p.faces + n for p, n in zip(parts, starts, strict=False)])
 
-    def rows(name: str, otherwise: np.ndarray) -> np.ndarray:
+    def rows(name: str, otherwise: ndarray) -> ndarray:
         """Of all parts end to end; `otherwise` for each vertex of a part that has none."""
         given = [(getattr(p, name), len(p.vertices)) for p in parts]
         return np.concatenate(

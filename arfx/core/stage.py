@@ -7,7 +7,7 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Seq
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
-import numpy as np
+from numpy import ndarray
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
@@ -55,7 +55,7 @@ class View:
     key: int
     memo: Memos
 
-    def __getitem__(self, name: Layer) -> np.ndarray:
+    def __getitem__(self, name: Layer) -> ndarray:
         return self.layers[name]
 
     @property
@@ -74,7 +74,7 @@ class View:
         """The frame's, else the scene's."""
         return self.scene.light_of(self.facts)
 
-    def noise(self, channel: int = 0) -> np.ndarray:
+    def noise(self, channel: int = 0) -> ndarray:
         """(h, w) float32 in [0, 1): random, new in every frame, the same for a pixel
         whatever the rectangle.
         """
@@ -186,7 +186,7 @@ class Stage:
         """What it estimated in a job, for the report."""
         return ()
 
-    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, ndarray | Pixels]:
         """What it writes, over the rectangle of the view: a plug-in IMAGE, the renderer's parts
         layers that later ones read. prepared : what `prepare` returned"""
         raise NotImplementedError
@@ -245,7 +245,7 @@ class ReadyStage:
 
     def run(
         self, layers: Layers, facts: FrameFacts, out: Rect | None = None
-    ) -> Mapping[Layer, np.ndarray | Pixels]:
+    ) -> Mapping[Layer, ndarray | Pixels]:
         """One frame by itself."""
         return self.stage.run(self.view(layers, facts, out), self.prepared)
 
