@@ -36,9 +36,8 @@ def overrides(options: Iterable[Given], texts: Sequence[str]) -> dict[str, Any]:
                 f"{words} and {others[-1]} give different values to {'.'.join(path)}",
                 "give one of them",
             )
-        *section, key = path
-        table = tree.setdefault(*section, {}) if section else tree
-        table[key] = value
+        table = tree if len(path) == 1 else tree.setdefault(path[0], {})
+        table[path[-1]] = value
     return tree
 
 

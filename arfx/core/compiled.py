@@ -19,6 +19,7 @@ import shutil
 import stat
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -193,6 +194,22 @@ def _prepare_folder(place: Path, shipped: Path) -> bool:
     except OSError:
         return False
     return True
+
+
+@functools.cache
+def _compile_timer() -> Any:
+    event = import_module("numba.core.event")
+    timer = event.TimingListener()
+    event.register("numba:compile", timer)
+    return timer
+
+
+def work_clock() -> float:
+    """`time.perf_counter`, less the seconds in which this process has compiled since it first
+    asked: later work is spared them.
+    """
+    timer = _compile_timer()
+    return time.perf_counter() - (timer.duration if timer.done else 0.0)
 
 
 @contextlib.contextmanager

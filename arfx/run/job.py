@@ -15,7 +15,7 @@ from arfx.analyse.job import MARKER, Analysis, AnalysisJob
 from arfx.analyse.tables import to_bytes
 from arfx.config.sections import JobConfig, frozen
 from arfx.core import interrupt
-from arfx.core.compiled import telling
+from arfx.core.compiled import telling, work_clock
 from arfx.core.cost import load_prices
 from arfx.core.facts import read_facts, write_facts
 from arfx.core.machine import usable_cores
@@ -95,7 +95,7 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
 
     Raises ArfxError of every kind; after JobInterruptedError and RenderError the folder can
     be resumed."""
-    started = time.perf_counter()
+    started = work_clock()
     keep_memory()
     if (options.workers or 1) > 1 and options.executor is None:
         options.processes.prepare()
@@ -168,9 +168,9 @@ def plan_job(
     started: float | None = None,
     cluster: Cluster | None = None,
 ) -> Job:
-    """Analyse (or resume that) and plan. started : perf_counter when the work began; None = now"""
+    """Analyse (or resume that) and plan. started : `work_clock` when the work began; None = now"""
     config = inputs.config
-    log = WorkLog(folder.timings, time.perf_counter() if started is None else started)
+    log = WorkLog(folder.timings, work_clock() if started is None else started)
     analysis_key, job_key = job_keys(inputs)
     stages, prices = make_stages(config), load_prices()
     policy = level_policy(config, stages, prices)
@@ -193,7 +193,7 @@ def plan_job(
         _analyse(inputs, folder, analysis_key, options, log, cluster)
     analysed, facts = ClipAnalysis.read(folder), list(read_facts(folder.facts))
     scene = analysed.scene(config, inputs.camera, inputs.model, folder)
-    start = time.perf_counter()
+    start = work_clock()
     if fresh:
         size = _size(inputs, analysed, stages, log.spent(analysis_key, []), options)
         notices: list[str] = []
@@ -220,7 +220,7 @@ def plan_job(
     document = json.loads(folder.plan_summary.read_text(encoding="utf-8"))
     plans = Lines(folder.plan, FramePlan.from_line)[:]
     plan = JobPlan(
-        plans, document["levels"], document["predicted"], time.perf_counter() - start
+        plans, document["levels"], document["predicted"], work_clock() - start
     )
     return Job(
         inputs,

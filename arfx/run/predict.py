@@ -7,11 +7,11 @@ beside it) + what every worker prepares
 prepares again.
 """
 
-import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from arfx.config.sections import JobConfig
+from arfx.core.compiled import work_clock
 from arfx.core.cost import Prediction, Prices, measured, sum_independent, with_spread
 from arfx.core.facts import FrameFacts
 from arfx.core.plan import FramePlan, levels_of
@@ -255,11 +255,11 @@ def choose(
     if config.pipeline.fps is not None:
         policy = policy._replace(budget_s=len(facts) / config.pipeline.fps)
 
-    began = time.perf_counter()
+    began = work_clock()
 
     def by_now() -> JobSize:
         return size._replace(
-            before_s=size.before_s + time.perf_counter() - began
+            before_s=size.before_s + work_clock() - began
         )  # planning takes its time too
 
     def upper_s(plans: Sequence[FramePlan], work: Prediction) -> float:

@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import FunctionType
@@ -267,3 +268,11 @@ def test_compiling_is_said_once_with_what_keeps_compiled_code_from_being_used(
     numba.njit(lambda x: x + 2)(1)
     compiling, others = notices
     assert compiling.startswith("compiling kernels, once") and "chmod go-w" in others
+
+
+def test_compiling_is_no_part_of_a_jobs_time() -> None:
+    before = compiled.work_clock()
+    began = time.perf_counter()
+    numba.njit(lambda x: x * 3 + 1)(2.5)
+    passed = time.perf_counter() - began
+    assert compiled.work_clock() - before < passed / 2
