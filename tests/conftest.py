@@ -8,7 +8,6 @@ import os
 import re
 import signal
 import sys
-import time
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
@@ -35,10 +34,6 @@ sys.dont_write_bytecode = False
 # until all tests are collected: what importing makes stays, and was looked over for a
 # quarter of that time
 gc.disable()
-
-COMPILED = pytest.StashKey[
-    tuple[int, float]
-]()  # how many kernels, in how many seconds
 
 STARTS = r"""apart=True|\benv=|subprocess|Popen|at_a_moment|Thread|run_(threads|processes)|(ahead|behind)\(
     |raise_signal|os\.kill"""
@@ -108,22 +103,6 @@ def pytest_collection_modifyitems(
                 item.add_marker(pytest.mark.process)
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    """Before several test processes compile the same kernels side by side, what jobs call
-    is compiled once.
-    """
-    if getattr(config.option, "numprocesses", None) and not hasattr(
-        config, "workerinput"
-    ):
-        from arfx.run.kernels import compile_ahead
-        from arfx_cli.console import Progress
-
-        start = time.perf_counter()
-        with Progress() as progress:
-            count = compile_ahead(None, progress)
-        config.stash[COMPILED] = count, time.perf_counter() - start
-
-
 def pytest_collection_finish() -> None:
     gc.freeze()
     gc.enable()
@@ -159,15 +138,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
-    """How long compiling took; what ran by OpenGL, or why nothing did: nobody has to look
-    for it among the skips.
-    """
-    count, seconds = terminalreporter.config.stash.get(COMPILED, (0, 0.0))
-    if count:
-        terminalreporter.write_line(
-            f"compiled {count} kernels before the tests, which is done once: {seconds:.0f}"
-            " s, not counted below"
-        )
+    """What ran by OpenGL, or why nothing did: nobody has to look for it among the skips."""
     stats = terminalreporter.stats
     told = {
         v

@@ -3,9 +3,9 @@ one compiles nothing.
 
     python tools/build_wheel.py [-o dist]
 
-The plain wheel is unpacked, all of arfx/run/kernels.json is compiled into it from an empty
-cache, numba is pinned to the version that compiled it, and it is packed again with the tags
-of this Python and system. A minute or two."""
+The plain wheel is unpacked, typical jobs are run in it from an empty cache, which compiles
+what they call, numba is pinned to the version that compiled it, and it is packed again with
+the tags of this Python and system. Some minutes."""
 
 from __future__ import annotations
 
@@ -16,35 +16,44 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
-COMPILE = """
-import sys
 from arfx.core import compiled
-from arfx.run import kernels
-assert compiled.target_cpu(), "this processor cannot run what the wheel is to hold: " + compiled.TARGET
-wanted = [kernel for kernel in kernels.listed_kernels() if kernel.module.startswith(sys.argv[1])]
-kernels.compile_missing(wanted, lambda phase, done, total: print(f"compiled {done} of {total}", flush=True))
-assert wanted and all(kernel.is_cached for kernel in wanted), "not all was compiled"
-"""
+
+ROOT = Path(__file__).resolve().parents[1]
+SCENES = ROOT / "sample_scenes"
+JOBS = (
+    "demo",
+    f"verify {SCENES / '0022-before-and-behind'}",
+    f"verify {SCENES / '0030-watercolor'}",
+    f"verify {SCENES / '0041-indirect-light'}",
+)
 
 
 def run(*command: object, **more: object) -> None:
     subprocess.run([str(c) for c in command], check=True, **more)  # type: ignore[call-overload]
 
 
-def with_compiled_code(plain: Path, out: Path, modules: str = "arfx.") -> Path:
-    """plain : wheel without compiled code;  modules : how the names begin of those that are
-    compiled. Returns the new wheel.
+def with_compiled_code(plain: Path, out: Path, jobs: Sequence[str] = JOBS) -> Path:
+    """plain : wheel without compiled code;  jobs : arguments of commands, each run in a
+    folder that goes again. Returns the new wheel.
     """
-    with tempfile.TemporaryDirectory() as aside:
+    processor = "this processor cannot run what the wheel is to hold: "
+    assert compiled.target_cpu(), processor + compiled.TARGET
+    with (
+        tempfile.TemporaryDirectory() as aside,
+        tempfile.TemporaryDirectory() as made,
+    ):
         run(sys.executable, "-m", "wheel", "unpack", "-d", aside, plain)
         (tree,) = Path(aside).iterdir()
         here = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")}
         here |= {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
-        run(sys.executable, "-c", COMPILE, modules, env=here, cwd=tree)
+        for job in jobs:
+            command = [sys.executable, "-P", "-m", "arfx_cli", *job.split()]
+            run(*command, env=here, cwd=made)
+        assert list(tree.rglob("*.nbc")), "nothing was compiled"
         (about,) = tree.glob("*.dist-info")
         metadata = (about / "METADATA").read_text(encoding="utf-8")
         pinned, count = re.subn(

@@ -3,8 +3,6 @@ would be right, all at once.
 
 `load` receives the table of stages as an argument, so that config imports no stage."""
 
-from __future__ import annotations
-
 import difflib
 import os
 import tomllib

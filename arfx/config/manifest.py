@@ -5,8 +5,6 @@ A column, or a key of a [[job]], is an option of `process` that takes a value, w
 dashes (clip, camera, output, fit), or a setting: in CSV as `section.key`, in TOML in a
 table of the [[job]]. `config` names a job file that it is laid over."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -89,20 +87,20 @@ def _csv(path: Path) -> tuple[list[JobFile], list[JobFile]]:
     try:
         for row in reader:
             cells = [cell.strip() for cell in row]
-            if len(cells) > len(heads) > 0 and any(cells):
-                message = f"{len(cells)} cells under {len(heads)} heads"
-                hint = "quote a cell that holds a comma"
-                raise ConfigError(file.located(message, (), hint))
-            if heads and any(cells):
-                table = {
-                    h: cell for h, cell in zip(heads, cells, strict=False) if cell
-                }
-                rows.append(file._replace(document=table))
-            elif any(cells):
+            if not any(cells):
+                pass
+            elif not heads:
                 heads = cells
                 if twice := [h for h in heads if heads.count(h) > 1]:
                     message = f"column {twice[0]!r} is there twice"
                     raise ConfigError(file.located(message, ()))
+            elif len(cells) > len(heads):
+                message = f"{len(cells)} cells under {len(heads)} heads"
+                hint = "quote a cell that holds a comma"
+                raise ConfigError(file.located(message, (), hint))
+            else:
+                table = {h: c for h, c in zip(heads, cells, strict=False) if c}
+                rows.append(file._replace(document=table))
             file = file._replace(line=reader.line_num + 1)
     except csv.Error as e:
         raise ConfigError(file.located(f"not valid CSV: {e}", ())) from None

@@ -3,8 +3,6 @@ on its field. And a job as plain data, which the job folder keeps and chunk keys
 
 Options of the commands, and which settings are paths, follow from `settings`."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping
 from functools import cache

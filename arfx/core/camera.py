@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
 from arfx.core.codec import Array, Document
@@ -75,7 +76,7 @@ class Camera(Document):
     def distorted(self) -> bool:
         return self.model == FISHEYE or bool(np.any(self.distortion))
 
-    def _coefficients(self) -> np.ndarray:
+    def _coefficients(self) -> ndarray:
         d = np.zeros(14)
         d[: self.distortion.size] = self.distortion
         return d
@@ -97,7 +98,7 @@ class Camera(Document):
         fold = np.flatnonzero(np.diff(distorted) <= 0)
         return float(r[fold[0]]) if fold.size else largest
 
-    def distort(self, xy: np.ndarray) -> np.ndarray:
+    def distort(self, xy: ndarray) -> ndarray:
         """Ideal normalised coordinates (..., 2) to distorted ones.
 
         Source: OpenCV calib3d documentation.
@@ -127,7 +128,7 @@ class Camera(Document):
             return divide(h[..., :2, 0], h[..., 2, :])
         return np.stack([xd, yd], -1)
 
-    def undistort(self, xy: np.ndarray) -> np.ndarray:
+    def undistort(self, xy: ndarray) -> ndarray:
         """Distorted normalised coordinates (..., 2) to ideal ones. Points that no direction
         maps to (beyond the fold) give NaN.
         """
@@ -143,7 +144,7 @@ class Camera(Document):
         guess[~found | (np.linalg.norm(guess, axis=-1) > self.max_radius)] = np.nan
         return guess
 
-    def _fisheye_angle(self, target: np.ndarray) -> np.ndarray:
+    def _fisheye_angle(self, target: ndarray) -> ndarray:
         """Newton in the angle to the axis: up to 90 degrees, where no step in x/z, y/z leads."""
         k1, k2, k3, k4 = self.distortion
         distorted = np.polynomial.Polynomial([0, 1, 0, k1, 0, k2, 0, k3, 0, k4])
@@ -155,7 +156,7 @@ class Camera(Document):
         ratio = divide(np.tan(angle), radius, where_zero=1.0)
         return np.asarray(target * ratio[..., None])
 
-    def stretch(self, xy: np.ndarray) -> np.ndarray:
+    def stretch(self, xy: ndarray) -> ndarray:
         """(..., 2, 2) change of `distort` with ideal coordinates (..., 2): central differences."""
         h = 1e-6
         ends = [
@@ -164,7 +165,7 @@ class Camera(Document):
         ]
         return np.stack(ends, -1) / (2 * h)
 
-    def _newton(self, target: np.ndarray) -> np.ndarray:
+    def _newton(self, target: ndarray) -> ndarray:
         """Near a fold cv2.undistortPoints, a fixed-point iteration, ends beside the answer."""
         guess = target.copy()
         # each point until its own steps end, whatever points are beside it
@@ -185,7 +186,7 @@ class Camera(Document):
             todo[todo] = size[..., 0] > 1e-12
         return guess
 
-    def project(self, points_camera: np.ndarray) -> np.ndarray:
+    def project(self, points_camera: ndarray) -> ndarray:
         """Points (..., 3) in camera coordinates, metres, to pixels (..., 2).
         NaN for points closer than EPS_DEPTH_M in front of the camera, or beyond the
         distortion's fold. Agrees with cv2.projectPoints to 1e-9 px inside."""
@@ -198,7 +199,7 @@ class Camera(Document):
         uv = self.distort(np.where(ok[..., None], xy, 0.0)) * focal + centre
         return np.where(ok[..., None], uv, np.nan)
 
-    def normalised(self, pixels: np.ndarray) -> np.ndarray:
+    def normalised(self, pixels: ndarray) -> ndarray:
         """Pixels (..., 2) to ideal normalised coordinates (x/z, y/z); NaN where no
         direction maps there.
         """
@@ -206,7 +207,7 @@ class Camera(Document):
             (np.asarray(pixels, float) - [self.cx, self.cy]) / [self.fx, self.fy]
         )
 
-    def directions(self, pixels: np.ndarray) -> np.ndarray:
+    def directions(self, pixels: ndarray) -> ndarray:
         """Pixels (..., 2) to viewing directions (..., 3) with z = 1 (not unit length)."""
         n = self.normalised(pixels)
         return np.concatenate([n, np.ones_like(n[..., :1])], -1)
@@ -255,11 +256,11 @@ class Camera(Document):
         return Camera(width, height, m, source=source, guessed=True)
 
 
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _cross(a: ndarray, b: ndarray) -> ndarray:
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
-def _tilt(tx: float, ty: float) -> np.ndarray:
+def _tilt(tx: float, ty: float) -> ndarray:
     """OpenCV's tilted-sensor homography from angles in radians."""
     r = Rotation.from_euler("xy", (-tx, -ty)).as_matrix()
     return np.array([[r[2, 2], 0, -r[0, 2]], [0, r[2, 2], -r[1, 2]], [0, 0, 1]]) @ r

@@ -1,8 +1,6 @@
 """Dataclasses as JSON, and back: `Document`, by pydantic, with annotations for what JSON has
 no words for."""
 
-from __future__ import annotations
-
 import base64
 import math
 from collections.abc import Mapping
@@ -11,6 +9,7 @@ from functools import cache
 from typing import Annotated, Any, Self
 
 import numpy as np
+from numpy import ndarray
 from pydantic import ConfigDict, TypeAdapter
 from pydantic_core import core_schema
 
@@ -80,11 +79,11 @@ class Packed:
     def __get_pydantic_core_schema__(self, *_: Any) -> core_schema.CoreSchema:
         return _converted(self._read, self._write)
 
-    def _write(self, a: np.ndarray) -> dict[str, Any]:
+    def _write(self, a: ndarray) -> dict[str, Any]:
         data = base64.b64encode(a.astype(self.dtype).tobytes()).decode()
         return {"shape": list(a.shape), "data": data}
 
-    def _read(self, v: Mapping[str, Any]) -> np.ndarray:
+    def _read(self, v: Mapping[str, Any]) -> ndarray:
         a = np.frombuffer(base64.b64decode(v["data"]), self.dtype).reshape(v["shape"])
         return a.astype(self.dtype_read)
 
@@ -95,7 +94,7 @@ class Gaps(Plain):
     """
 
     @staticmethod
-    def to_json(v: float | np.ndarray) -> Any:
+    def to_json(v: float | ndarray) -> Any:
         out = np.array(v, object)
         out[~np.isfinite(v)] = None
         return out.tolist()
@@ -112,4 +111,4 @@ class _InfinityAsNull(Plain):
 
 # a float that may be infinite, which JSON cannot say: null
 Unbounded = Annotated[float, _InfinityAsNull]
-Array = Annotated[np.ndarray, Gaps]
+Array = Annotated[ndarray, Gaps]

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.codec import Plain
 from arfx.errors import ConfigError
@@ -89,7 +90,7 @@ class Transfer(Plain):
             2.4 if self.name == "bt1886" else float(self.name.partition(":")[2]),
         )
 
-    def decode(self, v: np.ndarray) -> np.ndarray:
+    def decode(self, v: ndarray) -> ndarray:
         """Coded value (0..1; outside is mirrored through zero) to linear light, same shape
         and float type.
         """
@@ -110,7 +111,7 @@ class Transfer(Plain):
             lin = np.where(a <= toe, a / slope, ((a + (alpha - 1)) / alpha) ** power)
         return np.copysign(lin, v).astype(v.dtype if v.dtype.kind == "f" else float)
 
-    def encode(self, lin: np.ndarray) -> np.ndarray:
+    def encode(self, lin: ndarray) -> ndarray:
         """Linear light to coded value; the inverse of decode."""
         lin = np.asarray(lin)
         a = np.abs(lin)
@@ -135,7 +136,7 @@ class Transfer(Plain):
 SRGB = Transfer("srgb")
 
 
-def yuv_from_rgb(matrix: str) -> np.ndarray:
+def yuv_from_rgb(matrix: str) -> ndarray:
     """(3, 3) float64 from coded R'G'B' to Y'CbCr with Y' in 0..1 and Cb, Cr in -0.5..0.5
     (full scale). Raises ConfigError for an unknown matrix name."""
     if matrix not in LUMA_COEFFICIENTS:
@@ -151,7 +152,7 @@ def yuv_from_rgb(matrix: str) -> np.ndarray:
     return np.stack([y, cb, cr])
 
 
-def from_bt709(primaries: int) -> np.ndarray | None:
+def from_bt709(primaries: int) -> ndarray | None:
     """(3, 3) float64 from linear RGB of BT.709 to that of other primaries (ITU-T H.273
     table 2), white to white; None for those that are the same or not known."""
     if primaries == _BT709 or primaries not in PRIMARIES:
@@ -159,7 +160,7 @@ def from_bt709(primaries: int) -> np.ndarray | None:
     return np.linalg.solve(_xyz_from_rgb(primaries), _xyz_from_rgb(_BT709))
 
 
-def _xyz_from_rgb(primaries: int) -> np.ndarray:
+def _xyz_from_rgb(primaries: int) -> ndarray:
     corners, white = (
         np.array([(x / y, 1.0, (1 - x - y) / y) for x, y in points]).T
         for points in (PRIMARIES[primaries], [_D65])

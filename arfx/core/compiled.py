@@ -4,12 +4,12 @@ stale, and options of loops by lines.
 numba alone compiles for the very processor that it runs on, fails where neither the package
 nor the home can be written, passes over compiled code that came with a package that cannot
 be written, and does not see that a function of another module, which is compiled in, has
-changed. `configure_numba`, called before numba is imported, sets the target and
-`CacheLocator`."""
+changed. `configure_numba`, called before numba is imported, sets the target; `CacheLocator`
+says where code is kept. A folder of compiled code is named by the digest of all that it
+depends on."""
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import functools
 import hashlib
@@ -19,40 +19,30 @@ import shutil
 import stat
 import sys
 import tempfile
+import time
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from types import FunctionType
 from typing import Any
 
 from arfx.core.machine import cache_folder, instructions
+from arfx.core.waiting import Notice
 
-FAST = {
-    "contract",
-    "nsz",
-    "arcp",
-}  # what the compiler may do to rounding in most loops
-_PACKAGES = ("arfx", "arfx_cli")
-_NUMBAS = (
-    "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator,"
-    "ZipCacheLocator"
-)
+# What the compiler may do to rounding in most loops
+FAST = {"contract", "nsz", "arcp"}
 # What every x86-64 processor since 2013 (Intel) or 2015 (AMD) can do: code for it can be shipped.
 TARGET = "x86-64-v3"
 _REQUIRED = {"abm", "avx2", "bmi1", "bmi2", "f16c", "fma", "movbe"}
 # Four channels of a pixel, written one by one, become one vector. Off by default, and not
 # part of the index of cached code.
 _SLP = "NUMBA_SLP_VECTORIZE"
-_IMPORTS = re.compile(r"^from (arfx[\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
+_PACKAGE = Path(__file__).parents[1]
 _COMPILES = re.compile(r"^@(line_)?kernel\b", re.MULTILINE)
-_LOCATORS, _FOLDER = "NUMBA_CACHE_LOCATOR_CLASSES", "NUMBA_CACHE_DIR"
 
 
 def configure_numba() -> None:
     """Set numba's environment, for this process and those that it starts."""
-    ours = f"{__name__}.{CacheLocator.__name__}"
-    others = os.environ.get(_LOCATORS) or _NUMBAS
-    if ours not in others.split(","):
-        os.environ[_LOCATORS] = f"{ours},{others}"
     os.environ.setdefault(_SLP, "1")
     if target_cpu():
         os.environ.setdefault("NUMBA_CPU_NAME", TARGET)
@@ -74,9 +64,7 @@ def kernel(**options: Any) -> Any:
     second entry point for C, which would take an eighth of the time to compile.
 
     options : more of njit"""
-    return import_module("numba").njit(
-        cache=True, nogil=True, no_cfunc_wrapper=True, **options
-    )
+    return _numba().njit(cache=True, nogil=True, no_cfunc_wrapper=True, **options)
 
 
 def line_kernel(**options: Any) -> Any:
@@ -92,77 +80,60 @@ def line_kernel(**options: Any) -> Any:
 class CacheLocator:
     """numba's "cache locator" of one function of arfx."""
 
-    def __init__(self, function: FunctionType, file: str) -> None:
-        self._function, self._file = function, file
+    def __init__(self, function: FunctionType) -> None:
+        self._name = f"{function.__module__}-{function.__code__.co_firstlineno}"
 
     @classmethod
-    def from_function(
-        cls, py_func: FunctionType, py_file: str
-    ) -> CacheLocator | None:
-        _take_damaged_files_for_stale()
-        ours = py_func.__module__.partition(".")[0] in _PACKAGES
-        there = os.path.exists(py_file)  # noqa: PTH110
-        return cls(py_func, py_file) if ours and there else None
+    def from_function(cls, function: FunctionType, file: str) -> CacheLocator | None:
+        ours = function.__module__.startswith("arfx.")
+        return cls(function) if ours and Path(file).exists() else None
 
     def get_cache_path(self) -> str:
-        return str(code_folder(Path(self._file).parent))
+        return str(code_folder())
 
     def ensure_cache_path(self) -> None:
-        Path(self.get_cache_path()).mkdir(parents=True, exist_ok=True)
+        code_folder().mkdir(parents=True, exist_ok=True)
 
     def get_source_stamp(self) -> str:
-        return _stamp(self._file)
+        return ""  # the folder's name is one
 
     def get_disambiguator(self) -> str:
-        return str(self._function.__code__.co_firstlineno)
+        return self._name
 
 
 @functools.cache
-def _take_damaged_files_for_stale() -> None:
-    """numba alone fails when it reads one: cut short, or of a type that the code no longer
-    has. It is compiled again.
+def _numba() -> Any:
+    """numba, which asks `CacheLocator`. By itself it fails when it reads a damaged file, cut
+    short or of a type that the code no longer has: that is compiled again.
     """
-    index_file = import_module("numba.core.caching").IndexDataCacheFile
-    load_index, load_data = index_file._load_index, index_file._load_data
+    caching = import_module("numba.core.caching")
+    caching.CacheImpl._locator_classes.insert(0, CacheLocator)
+    for name, nothing in (("_load_index", dict), ("_load_data", lambda: None)):
+        load = getattr(caching.IndexDataCacheFile, name)
+        setattr(caching.IndexDataCacheFile, name, _or_nothing(load, nothing))
+    return import_module("numba")
 
-    def index_or_empty(self: Any) -> Any:
+
+def _or_nothing(load: Any, nothing: Any) -> Any:
+    def load_or_nothing(*arguments: Any) -> Any:
         try:
-            return dict(load_index(self))
+            return load(*arguments)
         except Exception:  # whatever damaged bytes make `pickle` raise
-            return {}
+            return nothing()
 
-    def data_or_missing(self: Any, name: str) -> Any:
-        try:
-            return load_data(self, name)
-        except Exception as e:
-            raise FileNotFoundError(name) from e
-
-    index_file._load_index, index_file._load_data = index_or_empty, data_or_missing
+    return load_or_nothing
 
 
-@functools.cache
-def _stamp(file: str) -> str:
-    """Digest of all that functions compiled in a module depend on: its text, and that of the
-    modules of arfx that it imports from, of those that compile too with what these import."""
-    text = _text(file)
-    names = set[str]()
-    for module, imported in _IMPORTS.findall(text):
-        names |= {
-            module,
-            *(f"{module}.{name}" for name in re.findall(r"\w+", imported)),
-        }
-    parts = [f"{_SLP}={os.environ.get(_SLP)}", text]
-    for name in sorted(names & sys.modules.keys()):
-        other = str(sys.modules[name].__file__)
-        parts.append(
-            _stamp(other) if _COMPILES.search(_text(other)) else _text(other)
-        )
-    return hashlib.sha256("\0".join(parts).encode()).hexdigest()
-
-
-@functools.cache
-def _text(file: str) -> str:
-    return Path(file).read_text(encoding="utf-8")
+def _digest() -> str:
+    """Of all that compiled code depends on: the text of the modules that hold kernels, and
+    of those that these import from, by their names."""
+    texts = [(f.stem, f.read_text("utf-8")) for f in sorted(_PACKAGE.rglob("*.py"))]
+    kernels = "".join(text for _, text in texts if _COMPILES.search(text))
+    imports = " ".join(re.findall("^from arfx.*", kernels, re.MULTILINE))
+    used = set(re.findall(r"\w+", imports))
+    other = "".join(text for name, text in texts if name in used)
+    parts = f"{os.environ.get(_SLP)}\0{kernels}\0{other}"
+    return hashlib.sha256(parts.encode()).hexdigest()[:16]
 
 
 # Folders of compiled code, of which files are unpickled, that are not used as others may
@@ -171,49 +142,21 @@ open_folders: list[Path] = []
 
 
 @functools.cache
-def code_folder(folder: Path) -> Path:
-    """Where the compiled code of the modules in this folder is kept: the first place that
-    can be written of NUMBA_CACHE_DIR, beside the modules, the user's cache folder, and one
-    for this run. Code that was shipped with the package is copied."""
-    beside = folder / "__pycache__"
-    shipped = sorted(beside.glob("*.nb[ic]"))
-    if shipped and _open_to_others(beside):
-        shipped = []
-    state: list[Any] = [str(folder)]
-    for file in shipped:
-        status = file.stat()
-        state.append((file.name, status.st_size, status.st_mtime_ns))
-    name = f"{folder.name}-{hashlib.sha256(repr(state).encode()).hexdigest()[:16]}"
-    given = os.environ.get(_FOLDER)
-    places = [Path(given) / name, beside] if given else [beside]
+def code_folder() -> Path:
+    """Where compiled code is kept: the first place that can be written of NUMBA_CACHE_DIR,
+    beside the package, the user's cache folder, and the system's folder for temporary files.
+    Code that was shipped with the package is copied."""
+    name = f"compiled-{_digest()}"
+    beside = _PACKAGE / "__pycache__" / name
+    places = [beside]
+    if given := os.environ.get("NUMBA_CACHE_DIR"):
+        places.insert(0, Path(given) / name)
     with contextlib.suppress(RuntimeError):  # no home
         places.append(cache_folder() / name)
-    for place in places:
-        if _prepare_folder(place, shipped):
-            return place
-    try:
-        place = _folder_of_this_run() / name
-    except OSError:  # then nothing else can be written either
-        return beside
-    _prepare_folder(place, shipped)
-    return place
-
-
-def cache_persists() -> bool:
-    """Whether the next run finds the code that this one compiles."""
-    code_folder(Path(__file__).parent)
-    return not _folder_of_this_run.cache_info().currsize
-
-
-@functools.cache
-def _folder_of_this_run() -> Path:
-    """For this process and those that it starts; removed when it ends. Raises OSError where
-    there is no temporary folder.
-    """
-    folder = tempfile.mkdtemp(prefix="arfx-compiled-")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    os.environ[_FOLDER] = folder
-    return Path(folder)
+    user = getattr(os, "getuid", int)()
+    places.append(Path(tempfile.gettempdir(), f"arfx-{user}", name))
+    usable = (place for place in places if _prepare_folder(place, beside))
+    return next(usable, beside)
 
 
 def _open_to_others(place: Path) -> bool:
@@ -234,23 +177,16 @@ def _open_to_others(place: Path) -> bool:
     return bool(shared or (replaceable and not sticky) or status.st_uid not in owners)
 
 
-def _prepare_folder(place: Path, shipped: list[Path]) -> bool:
-    """Make the folder, with copies of these files if it is new.
+def _prepare_folder(place: Path, shipped: Path) -> bool:
+    """Make the folder, as a copy of another if it is new and that is there.
 
     False if it cannot be written, or others may write to it.
     """
     try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        if shipped and not place.exists():
-            aside = place.with_name(f"{place.name}.{os.getpid()}")
-            aside.mkdir(0o755, exist_ok=True)
-            for file in shipped:
-                shutil.copy2(file, aside / file.name)
-            try:
-                aside.rename(place)
-            except OSError:  # another process was quicker
-                shutil.rmtree(aside, ignore_errors=True)
-        place.mkdir(0o755, exist_ok=True)
+        if not place.exists() and shipped.is_dir() and not _open_to_others(shipped):
+            # what another process finds half copied is stale, and compiled again
+            shutil.copytree(shipped, place, dirs_exist_ok=True)
+        place.mkdir(0o755, parents=True, exist_ok=True)
         if _open_to_others(place):
             open_folders.append(place)
             return False
@@ -258,3 +194,43 @@ def _prepare_folder(place: Path, shipped: list[Path]) -> bool:
     except OSError:
         return False
     return True
+
+
+@functools.cache
+def _compile_timer() -> Any:
+    event = import_module("numba.core.event")
+    timer = event.TimingListener()
+    event.register("numba:compile", timer)
+    return timer
+
+
+def work_clock() -> float:
+    """`time.perf_counter`, less the seconds in which this process has compiled since it first
+    asked: later work is spared them.
+    """
+    timer = _compile_timer()
+    return time.perf_counter() - (timer.duration if timer.done else 0.0)
+
+
+@contextlib.contextmanager
+def telling(notice: Notice) -> Iterator[None]:
+    """Says once if, in the body, something is compiled, which takes some seconds, and whether
+    that is so because others may write to the folder of what was compiled before."""
+    event = import_module("numba.core.event")
+    said: list[str] = []
+
+    def say(*_: object) -> None:
+        if said:
+            return
+        said.append("compiling kernels, once: this clip or its settings need them")
+        if open_folders:
+            said.append(
+                f"compiled code in {open_folders[0]} is not used, others may write"
+                " there: chmod go-w takes that from them"
+            )
+        for text in said:
+            notice(text)
+
+    listener = type("", (event.Listener,), {"on_start": say, "on_end": say})()
+    with event.install_listener("numba:compile", listener):
+        yield

@@ -17,6 +17,7 @@ import platform
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 from arfx.core.codec import Document
 from arfx.core.machine import cache_folder, processor_name, usable_cores
@@ -40,8 +41,7 @@ UNCALIBRATED = 0.7  # spread of a price from another machine: a factor of 3 eith
 FORMAT = 1
 
 
-@dataclass(frozen=True, slots=True)
-class Prediction:
+class Prediction(NamedTuple):
     """seconds, expected;  low_s, high_s : nine in ten lie between"""
 
     seconds: float
@@ -52,9 +52,7 @@ class Prediction:
         return {"s": self.seconds, "low_s": self.low_s, "high_s": self.high_s}
 
     def times(self, factor: float) -> Prediction:
-        return Prediction(
-            self.seconds * factor, self.low_s * factor, self.high_s * factor
-        )
+        return Prediction(*(factor * seconds for seconds in self))
 
 
 def measured(seconds: float) -> Prediction:
@@ -73,8 +71,8 @@ def sum_independent(parts: Iterable[Prediction]) -> Prediction:
     """
     predictions = list(parts)
     total = sum(p.seconds for p in predictions)
-    below = math.sqrt(sum((p.seconds - p.low_s) ** 2 for p in predictions))
-    above = math.sqrt(sum((p.high_s - p.seconds) ** 2 for p in predictions))
+    below = math.hypot(*(p.seconds - p.low_s for p in predictions))
+    above = math.hypot(*(p.high_s - p.seconds for p in predictions))
     return Prediction(total, max(total - below, 0.0), total + above)
 
 

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.codec import Document
 from arfx.core.numerics import divide, normalise
 
 
 @lru_cache(maxsize=4)
-def face_directions(size: int) -> np.ndarray:
+def face_directions(size: int) -> ndarray:
     """(6, size, size, 3) unit directions of the texels' centres.
     A face's rows and columns run along the other two axes, the last of them towards -z on
     the sides: with camera axes (x right, y down, z forward) a picture lies upright on
@@ -23,7 +24,7 @@ def face_directions(size: int) -> np.ndarray:
     return out
 
 
-def on_faces(t: np.ndarray) -> np.ndarray:
+def on_faces(t: ndarray) -> ndarray:
     """(6, n, n, 3) places on the planes of the faces, at t (n,) along rows and columns; a
     face ends at -1 and 1.
     """
@@ -41,19 +42,19 @@ def on_faces(t: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=4)
-def solid_angles(size: int) -> np.ndarray:
+def solid_angles(size: int) -> ndarray:
     """(size, size) steradians of a face's texels; six faces make 4 pi exactly."""
     t = np.arange(size + 1) / size * 2 - 1
     v, u = np.meshgrid(t, t, indexing="ij")
     corner = np.arctan2(u * v, np.sqrt(u * u + v * v + 1))
-    out: np.ndarray = (
+    out: ndarray = (
         corner[1:, 1:] - corner[1:, :-1] - corner[:-1, 1:] + corner[:-1, :-1]
     )
     out.setflags(write=False)
     return out
 
 
-def on_cube(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def on_cube(directions: ndarray) -> tuple[ndarray, ndarray, ndarray]:
     """(face (n,), u, v (n,) in -1..1, along columns and rows) of directions (n, 3) of any
     length.
     """
@@ -68,59 +69,38 @@ def on_cube(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     )
 
 
-def _between_texels(
-    size: int, directions: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """((n, 4) numbers of the texels around directions (n, 3) in a cube of faces (size, size),
-    (n, 4) weights of them): linear between the texels of a face, the outermost beyond them.
+def look_up(faces: ndarray, directions: ndarray) -> ndarray:
+    """(n, c) values in directions (n, 3), axes of the cube (6, size, size, c): linear
+    between the texels of a face, the outermost beyond them.
     """
+    n = faces.shape[1]
     face, *across = on_cube(np.asarray(directions, float))
-    # of each direction: column and row, of these the two around it
-    place = np.clip((np.stack(across, -1) + 1) / 2 * size - 0.5, 0, size - 1)
-    low = np.minimum(place.astype(np.intp), max(size - 2, 0))
-    near = np.stack([low, np.minimum(low + 1, size - 1)], -1)
-    share = np.stack([1 - (place - low), place - low], -1)
-    texels = (face[:, None, None] * size + near[:, 1, :, None]) * size + near[:, :1]
-    weights = share[:, 1, :, None] * share[:, :1]
-    return texels.reshape(-1, 4), weights.reshape(-1, 4)
+    place = np.clip((np.stack(across) + 1) / 2 * n - 0.5, 0, n - 1)
+    low = place.astype(np.intp)
+    (x, y), (right, below) = low, np.minimum(low + 1, n - 1)
+    u, v = (place - low)[..., None]
+    return (
+        (1 - v) * (1 - u) * faces[face, y, x]
+        + (1 - v) * u * faces[face, y, right]
+        + v * (1 - u) * faces[face, below, x]
+        + v * u * faces[face, below, right]
+    )
 
 
-def _weighed(
-    faces: np.ndarray, texels: np.ndarray, weights: np.ndarray
-) -> np.ndarray:
-    """(n, c) sums of texels of a cube (6, size, size, c); as `_between_texels`."""
-    near = faces.reshape(-1, faces.shape[-1])[texels]
-    return np.asarray(np.einsum("nk,nkc->nc", weights, near))
-
-
-def look_up(faces: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """(n, 3) radiance in directions (n, 3), axes of the cube (6, size, size, 3): linear
-    between the texels of a face.
-    """
-    return _weighed(faces, *_between_texels(faces.shape[1], directions))
-
-
-@lru_cache(maxsize=8)
-def _border(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """((6, size + 2, size + 2) whether a texel of `bordered` is one of its border, and of
-    those the texels of their neighbours and weights: `_between_texels`)."""
-    around = np.ones((6, size + 2, size + 2), bool)
-    around[:, 1:-1, 1:-1] = False
-    places = on_faces((np.arange(-1, size + 1) + 0.5) / size * 2 - 1)[around]
-    return around, *_between_texels(size, places)
-
-
-def bordered(faces: np.ndarray) -> np.ndarray:
+def bordered(faces: ndarray) -> ndarray:
     """(6, n + 2, n + 2, c) of a cube (6, n, n, c): each face with a texel of its neighbours
     all around.
     """
-    around, *near = _border(faces.shape[1])
-    out = np.empty((*around.shape, faces.shape[-1]), faces.dtype)
-    out[:, 1:-1, 1:-1], out[around] = faces, _weighed(faces, *near)
+    n = faces.shape[1]
+    out = np.pad(faces, ((0, 0), (1, 1), (1, 1), (0, 0)))
+    around = np.ones(out.shape[:3], bool)
+    around[:, 1:-1, 1:-1] = False
+    places = on_faces((np.arange(-1, n + 1) + 0.5) / n * 2 - 1)
+    out[around] = look_up(faces, places[around])
     return out
 
 
-def resampled(faces: np.ndarray, size: int) -> np.ndarray:
+def resampled(faces: ndarray, size: int) -> ndarray:
     """(6, size, size, c) of a cube (6, n, n, c) with fewer texels: linear between them,
     over the edges too.
     """
@@ -133,7 +113,7 @@ def resampled(faces: np.ndarray, size: int) -> np.ndarray:
 
 
 @lru_cache(maxsize=2)
-def _nearby(size: int, reach_deg: float) -> np.ndarray:
+def _nearby(size: int, reach_deg: float) -> ndarray:
     """(texels, texels) weights of `spread`; rows sum to 1."""
     d = face_directions(size).reshape(-1, 3)
     angle = np.degrees(np.arccos(np.clip(d @ d.T, -1, 1)))
@@ -141,7 +121,7 @@ def _nearby(size: int, reach_deg: float) -> np.ndarray:
     return np.asarray((weight / weight.sum(1, keepdims=True)).astype(np.float32))
 
 
-def spread(faces: np.ndarray, reach_deg: float) -> np.ndarray:
+def spread(faces: ndarray, reach_deg: float) -> ndarray:
     """(6, n, n, c) float32 of a cube: each texel the mean of all, whose weight falls to 1 /
     e within an angle. n <= 16: its cost is O(n^4)"""
     return (
@@ -181,9 +161,9 @@ class CubeMap(Document):
 
     @staticmethod
     def of(
-        faces: np.ndarray,
-        axes: np.ndarray | None = None,
-        plane_rgb: np.ndarray | None = None,
+        faces: ndarray,
+        axes: ndarray | None = None,
+        plane_rgb: ndarray | None = None,
     ) -> CubeMap:
         """faces : (6, n, n, 3), clipped to +-6e4;  axes : (3, 3);  plane_rgb : (3,)"""
         data = base64.b64encode(
@@ -195,7 +175,7 @@ class CubeMap(Document):
         )
         return CubeMap(faces.shape[1], data, *rows)
 
-    def faces(self) -> np.ndarray:
+    def faces(self) -> ndarray:
         """(6, n, n, 3) float16"""
         return np.frombuffer(base64.b64decode(self.data), "<f2").reshape(
             6, self.size, self.size, 3

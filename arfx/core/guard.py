@@ -2,8 +2,6 @@
 unasked, and all of a file or none.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

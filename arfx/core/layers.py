@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.pixels import Pixels, Plate
 from arfx.core.rect import EMPTY, Rect
@@ -58,7 +59,7 @@ _FAR, _ALL = (Layer.DEPTH, Layer.REAL_DEPTH), (Layer.OCCLUSION, Layer.SHADOW)
 _VALUES = dict.fromkeys(_FAR, np.inf) | dict.fromkeys(_ALL, 1.0)
 
 
-def neutral(name: Layer, rect: Rect) -> np.ndarray:
+def neutral(name: Layer, rect: Rect) -> ndarray:
     """A new array over `rect` as if nothing virtual were there.
 
     PLATE and IMAGE have no neutral value: KeyError.
@@ -73,7 +74,7 @@ def neutral(name: Layer, rect: Rect) -> np.ndarray:
     return out
 
 
-def packed(array: np.ndarray) -> np.ndarray:
+def packed(array: ndarray) -> ndarray:
     """The array read-only and with its rows end to end, a copy where they are not: the form
     that kernels are compiled for.
     """
@@ -93,7 +94,7 @@ class Layers:
     rect: Rect
     written: Mapping[Layer, Pixels | Plate] = field(default_factory=dict)
 
-    def __getitem__(self, name: Layer) -> np.ndarray:
+    def __getitem__(self, name: Layer) -> ndarray:
         """(h, w, ...) over `rect`. Raises KeyError for PLATE where it does not cover
         `rect`, and for IMAGE where neither does, as they have no neutral value."""
         held = self.written.get(name)

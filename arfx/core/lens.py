@@ -5,10 +5,9 @@ Distances run along the optical axis from the lens. In dioptres (1 / distance) t
 circle is affine: there is no pole at infinity and none at the hyperfocal distance. Source:
 docs/methods/dof.md#lens."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -83,8 +82,7 @@ def circle_of_confusion_mm(distance_mm: np.ndarray | float, lens: Lens) -> np.nd
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Limits:
+class Limits(NamedTuple):
     """What looks sharp before and behind the focus distance, mm; None = not defined (as
     printed, at a pole and beyond).
     """

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.codec import Document, Unbounded
 from arfx.core.numerics import normalise
@@ -31,7 +32,7 @@ class DirectionalLight(Document):
     confidence_deg: Unbounded = float("inf")
 
     @property
-    def unit(self) -> np.ndarray:
+    def unit(self) -> ndarray:
         return normalise(np.asarray(self.direction, float))
 
 
@@ -54,7 +55,7 @@ class Light(Document):
     source: str = "default"
     soft: tuple[tuple[float, float, float], ...] = ()
 
-    def radiance(self, normals: np.ndarray) -> np.ndarray:
+    def radiance(self, normals: ndarray) -> ndarray:
         """(..., 3) radiance of white diffuse surfaces with unit `normals` (..., 3), WORLD
         frame, nothing in the light's way.
         """
@@ -66,7 +67,7 @@ class Light(Document):
             )
         return out
 
-    def soft_radiance(self, normals: np.ndarray) -> np.ndarray:
+    def soft_radiance(self, normals: ndarray) -> ndarray:
         """(..., 3) the same without the directional lights; never below 0."""
         n = np.asarray(normals, float)
         if not self.soft:
@@ -76,14 +77,14 @@ class Light(Document):
         return np.clip(harmonics(n) @ np.asarray(self.soft, float), 0, None)
 
     @property
-    def mean_radiance(self) -> np.ndarray:
+    def mean_radiance(self) -> ndarray:
         """(3,) `radiance`, mean over all normals."""
         return (
             np.asarray(self.ambient_rgb, float)
             + sum((np.asarray(li.rgb, float) for li in self.lights), np.zeros(3)) / 4
         )
 
-    def scaled(self, factor: np.ndarray) -> Light:
+    def scaled(self, factor: ndarray) -> Light:
         """The light times a factor (3,), one per channel."""
 
         def times(rgb: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -93,7 +94,7 @@ class Light(Document):
         soft = tuple(map(times, self.soft))
         return Light(times(self.ambient_rgb), lights, self.source, soft)
 
-    def turned(self, rotation: np.ndarray) -> Light:
+    def turned(self, rotation: ndarray) -> Light:
         """The light in other axes. rotation : (3, 3), to those from the light's."""
         lights = tuple(
             replace(li, direction=triple(np.asarray(rotation) @ li.unit))
@@ -104,7 +105,7 @@ class Light(Document):
 
     @staticmethod
     def of_soft(
-        soft: np.ndarray, lights: tuple[DirectionalLight, ...], source: str
+        soft: ndarray, lights: tuple[DirectionalLight, ...], source: str
     ) -> Light:
         """A light whose ambient part is `soft` (9, 3), with its mean over all normals."""
         return Light(
@@ -115,7 +116,7 @@ class Light(Document):
         )
 
 
-def harmonics(n: np.ndarray) -> np.ndarray:
+def harmonics(n: ndarray) -> ndarray:
     """(..., 9) real spherical harmonics up to degree 2 of unit vectors (..., 3),
     orthonormal on the sphere.
     Order: 1; y, z, x; xy, yz, 3z^2 - 1, xz, x^2 - y^2 (Ramamoorthi and Hanrahan 2001, eq. 3).
@@ -135,7 +136,7 @@ def harmonics(n: np.ndarray) -> np.ndarray:
     return np.stack(terms, -1)
 
 
-def turned_harmonics(coefficients: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+def turned_harmonics(coefficients: ndarray, rotation: ndarray) -> ndarray:
     """(9, k) of `harmonics` in other axes; exact, as a rotation does not leave a degree.
     rotation : as in Light.turned
     """
@@ -144,6 +145,6 @@ def turned_harmonics(coefficients: np.ndarray, rotation: np.ndarray) -> np.ndarr
     return np.linalg.pinv(harmonics(directions)) @ turned
 
 
-def triple(v: np.ndarray) -> tuple[float, float, float]:
+def triple(v: ndarray) -> tuple[float, float, float]:
     """(3,) as plain numbers."""
     return float(v[0]), float(v[1]), float(v[2])

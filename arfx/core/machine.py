@@ -1,8 +1,6 @@
 """The machine that this runs on: usable cores, the processor's name and scheduling, the
 user's cache folder; and how often this process looks for garbage."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import os

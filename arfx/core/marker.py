@@ -14,7 +14,7 @@ from arfx.core.units import length_m
 from arfx.errors import ConfigError
 
 if TYPE_CHECKING:
-    import numpy as np
+    from numpy import ndarray
 
 MIN_MARKER_M, MAX_MARKER_M = (
     1e-4,
@@ -37,7 +37,7 @@ class MarkerSpec:
         return f"{self.family}:{self.id}"
 
     @property
-    def corners_m(self) -> np.ndarray:
+    def corners_m(self) -> ndarray:
         """(4, 3) top left, top right, bottom right, bottom left; x right, y up, z out of
         the print.
         """
@@ -83,7 +83,7 @@ class PatternSpec:
         return self.image.name
 
     @property
-    def corners_m(self) -> np.ndarray:
+    def corners_m(self) -> ndarray:
         """As of a MarkerSpec. Raises ValueError where the picture was not opened."""
         if self.height_m is None:
             raise ValueError(
@@ -114,7 +114,7 @@ class PatternSpec:
 Marker = MarkerSpec | PatternSpec
 
 
-def _corners(width_m: float, height_m: float) -> np.ndarray:
+def _corners(width_m: float, height_m: float) -> ndarray:
     import numpy as np  # here: `process --help` needs the names of markers, and no numbers
 
     x, y = width_m / 2, height_m / 2

@@ -1,7 +1,5 @@
 """What a coded marker looks like: OpenCV's dictionaries, and the cells of a print."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import cv2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from threading import Lock
@@ -23,7 +23,7 @@ class Memo:
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._kinds: dict[str, OrderedDict[Hashable, Any]] = defaultdict(OrderedDict)
+        self._kinds: dict[str, dict[Hashable, Any]] = defaultdict(dict)
         self.made = 0
 
     def get(
@@ -33,14 +33,14 @@ class Memo:
         with self._lock:
             things = self._kinds[kind]
             if key in things:
-                things.move_to_end(key)
+                things[key] = things.pop(key)
                 return things[key]
         thing = make()
         with self._lock:
             self.made += 1
             things[key] = thing
             while len(things) > most:
-                things.popitem(last=False)
+                del things[next(iter(things))]
         return thing
 
     def clear(self) -> None:

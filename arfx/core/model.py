@@ -1,13 +1,12 @@
 """A virtual model as triangles with materials, whatever file it came from."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy import ndarray
 
 OPAQUE, MASK, BLEND = "OPAQUE", "MASK", "BLEND"
 REPEAT, CLAMP, MIRROR = "repeat", "clamp", "mirror"
@@ -36,9 +35,9 @@ class Texture:
     wrap : along u and along v, what lies beyond the picture: REPEAT, CLAMP or MIRROR
     nearest : texels show as squares; else they are mixed"""
 
-    picture: np.ndarray
+    picture: ndarray
     uv_set: int = 0
-    picture_from_uv: np.ndarray = field(default_factory=lambda: np.eye(2, 3))
+    picture_from_uv: ndarray = field(default_factory=lambda: np.eye(2, 3))
     wrap: tuple[str, str] = (REPEAT, REPEAT)
     nearest: bool = False
 
@@ -109,16 +108,16 @@ class Part:
         picture's rows to the right, and a sign; sign * cross(normal, tangent), the bitangent, is
         the picture's way up"""
 
-    vertices: np.ndarray
-    faces: np.ndarray
-    normals: np.ndarray
+    vertices: ndarray
+    faces: ndarray
+    normals: ndarray
     material: Material = field(default_factory=Material)
-    uv: np.ndarray | None = None
-    colours: np.ndarray | None = None
-    second_uv: np.ndarray | None = None
-    tangents: np.ndarray | None = None
+    uv: ndarray | None = None
+    colours: ndarray | None = None
+    second_uv: ndarray | None = None
+    tangents: ndarray | None = None
 
-    def uv_on(self, texture: Texture) -> np.ndarray | None:
+    def uv_on(self, texture: Texture) -> ndarray | None:
         """(n, 2) where the vertices lie on the texture's picture; None: the part has no such
         coordinates."""
         uv = self.second_uv if texture.uv_set else self.uv
@@ -158,14 +157,14 @@ class Model:
     files: tuple[Path, ...] = ()
 
     @cached_property
-    def bounds(self) -> np.ndarray:
+    def bounds(self) -> ndarray:
         """(2, 3) lowest and highest corner in file axes and units, of vertices that a face uses."""
         used = [p.vertices[np.unique(p.faces)] for p in self.parts]
         corners = np.concatenate(used)
         return np.stack([corners.min(0), corners.max(0)])
 
     @property
-    def corners(self) -> np.ndarray:
+    def corners(self) -> ndarray:
         """(8, 3) of the box of these bounds."""
         return np.array(list(itertools.product(*self.bounds.T)))
 
@@ -180,6 +179,6 @@ class Model:
         return textures / max(self.face_count, 1)
 
     @property
-    def vertices(self) -> np.ndarray:
+    def vertices(self) -> ndarray:
         """(n, 3) of all parts together, file axes and units."""
         return np.concatenate([p.vertices for p in self.parts])

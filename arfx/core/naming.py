@@ -1,7 +1,5 @@
 """Names of outputs (-o) made from a pattern and what they are made of: out/{parent}/{stem}.mp4."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -3,11 +3,10 @@
 A 32-bit integer hash (the finaliser of MurmurHash3, A. Appleby) of key, channel and
 position. Cost: 5 ns a pixel."""
 
-from __future__ import annotations
-
 import zlib
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.rect import Rect
 
@@ -17,7 +16,7 @@ def noise_key(seed: int, frame: int, stage: str) -> int:
     return zlib.crc32(f"{seed}/{frame}/{stage}".encode())
 
 
-def noise(rect: Rect, key: int, channel: int = 0) -> np.ndarray:
+def noise(rect: Rect, key: int, channel: int = 0) -> ndarray:
     """(h, w) float32 in [0, 1), even, independent from pixel to pixel. key : below 2^32"""
     start = _hash(
         np.array([(key + 0x9E3779B9 * (channel + 1)) & 0xFFFFFFFF], np.uint32)
@@ -30,7 +29,7 @@ def noise(rect: Rect, key: int, channel: int = 0) -> np.ndarray:
     return (bits >> np.uint32(8)).astype(np.float32) * np.float32(2.0**-24)
 
 
-def _hash(h: np.ndarray) -> np.ndarray:
+def _hash(h: ndarray) -> ndarray:
     """Every bit of the result depends on every bit given; wraps around."""
     h = h ^ (h >> np.uint32(16))
     h = h * np.uint32(0x85EBCA6B)

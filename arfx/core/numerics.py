@@ -3,13 +3,12 @@
 No other module divides by data, takes an arccos of data or normalises data without going
 through here."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 # Shortest vector with a direction: float64 rounding (2.2e-16) of coordinates up to 1e4 m
 # leaves 2e-12 m of noise.
@@ -24,8 +23,8 @@ HALF_GREY = 0.5 / 255.0
 
 
 def divide(
-    a: np.ndarray | float, b: np.ndarray | float, where_zero: float = 0.0
-) -> np.ndarray:
+    a: ndarray | float, b: ndarray | float, where_zero: float = 0.0
+) -> ndarray:
     """a / b, with `where_zero` where b is zero or the quotient is not finite. Broadcasts."""
     with np.errstate(all="ignore"):
         q = np.asarray(a, float) / np.asarray(b, float)
@@ -34,23 +33,23 @@ def divide(
     )  # a quotient by zero is never finite
 
 
-def normalise(v: np.ndarray, axis: int = -1) -> np.ndarray:
+def normalise(v: ndarray) -> ndarray:
     """Unit vectors; vectors shorter than EPS_LENGTH, or not finite, become zero vectors."""
     v = np.asarray(v)
     with np.errstate(all="ignore"):
-        n = np.linalg.norm(v, axis=axis, keepdims=True)
+        n = np.linalg.norm(v, axis=-1, keepdims=True)
         ok = (n > EPS_LENGTH) & np.isfinite(n)
         return np.where(ok, v / np.where(ok, n, 1), 0).astype(
             v.dtype if v.dtype.kind == "f" else float
         )
 
 
-def arccos(c: np.ndarray | float) -> np.ndarray:
+def arccos(c: ndarray | float) -> ndarray:
     """arccos with the argument clipped to [-1, 1]; rounding there is at most a few 1e-16."""
     return np.arccos(np.clip(c, -1.0, 1.0))
 
 
-def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def angle_between(a: ndarray, b: ndarray) -> ndarray:
     """Angle in radians between vectors (..., 3), accurate near 0 and pi (Kahan's atan2 form)."""
     a, b = normalise(np.asarray(a, float)), normalise(np.asarray(b, float))
     return 2.0 * np.arctan2(
@@ -58,22 +57,18 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     )
 
 
-def direction_of(
-    azimuth: np.ndarray | float, elevation: np.ndarray | float
-) -> np.ndarray:
+def direction_of(azimuth: ndarray | float, elevation: ndarray | float) -> ndarray:
     """Unit vectors (..., 3) of angles in radians: from x towards y, and from there towards z."""
     flat = np.cos(elevation)
     xyz = flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)
     return np.stack(xyz, -1)
 
 
-def condition(matrix: np.ndarray) -> float:
+def condition(matrix: ndarray) -> float:
     """2-norm condition number; inf for a singular, empty or non-finite matrix."""
     m = np.asarray(matrix, float)
-    if not m.size or not np.isfinite(m).all():
-        return float("inf")
-    s = np.linalg.svd(m, compute_uv=False)
-    return float(s[0] / s[-1]) if s[-1] > 0 else float("inf")
+    known = m.size > 0 and np.isfinite(m).all()
+    return float(np.linalg.cond(m)) if known else math.inf
 
 
 def medians(values: np.ndarray, kept: np.ndarray) -> np.ndarray:
@@ -98,13 +93,13 @@ def finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def smoothstep(t: Any) -> np.ndarray:
+def smoothstep(t: Any) -> ndarray:
     """From 0 at t = 0 to 1 at t = 1, level at both and beyond."""
     t = np.clip(t, 0, 1)
     return np.asarray(t * t * (3 - 2 * t))
 
 
-def same_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def same_rows(rows: ndarray) -> tuple[ndarray, ndarray]:
     """Of rows (n, k): (m,) the first of each that differ, in their order, and (n,) which of
     these m each row is. As of np.unique(axis=0), in half its time; and Ctrl-C is heard
     meanwhile: it lets other threads work."""

@@ -4,8 +4,6 @@ A name is never an address, a protocol or a pattern. Devices, pipes, sockets and
 refused before they are opened. Files that libraries read themselves (FFmpeg, OpenCV) pass
 `regular` first; what the formats may hold is checked by their readers."""
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -97,15 +95,8 @@ def read_bytes(path: Path | str, kind: str) -> bytes:
     path = regular(path, kind)
     limit = LIMITS[kind] * MIB
     try:
-        # not blocking: what was a file a moment ago may be a pipe now
-        handle = os.open(
-            path,
-            os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0),
-        )
-        with os.fdopen(handle, "rb") as f:
-            status = os.fstat(handle)
-            _check_status(status, path, kind)
-            data = f.read(status.st_size + 1)
+        with path.open("rb") as f:
+            data = f.read(path.stat().st_size + 1)
             while len(data) <= limit and (more := f.read(MIB)):
                 data += more  # it grows, or is one of /proc, which say that they are empty
     except OSError as e:

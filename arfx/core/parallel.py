@@ -4,8 +4,6 @@ GIL.
 What is computed never depends on the number of threads: bands depend on the picture alone,
 so that sums over bands are the same everywhere."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.rect import Rect
 
@@ -25,9 +26,9 @@ class Pixels:
     """A layer in the rectangle where it is set. array : (h, w, ...) over `rect`"""
 
     rect: Rect
-    array: np.ndarray
+    array: ndarray
 
-    def part(self, rect: Rect) -> np.ndarray:
+    def part(self, rect: Rect) -> ndarray:
         """(h, w, ...) of a rectangle inside it, a view."""
         return self.array[rect.slices_in(self.rect)]
 
@@ -44,21 +45,19 @@ class Plate:
     read : writes any part into its second argument, (h, w, 3) float32;  seconds : spent in it
     """
 
-    def __init__(
-        self, rect: Rect, read: Callable[[Rect, np.ndarray], object]
-    ) -> None:
+    def __init__(self, rect: Rect, read: Callable[[Rect, ndarray], object]) -> None:
         self.rect, self.seconds, self._read = rect, 0.0, read
         self._array = np.empty((rect.height, rect.width, 3), np.float32)
         self._made: set[int] = set()
 
     @staticmethod
-    def of(array: np.ndarray, rect: Rect) -> Plate:
+    def of(array: ndarray, rect: Rect) -> Plate:
         """The one that is known already. array : (h, w, 3) float32 over `rect`"""
         return Plate(
             rect, lambda part, out: np.copyto(out, array[part.slices_in(rect)])
         )
 
-    def part(self, rect: Rect) -> np.ndarray:
+    def part(self, rect: Rect) -> ndarray:
         """(h, w, 3) of a rectangle inside it, a view."""
         start = time.perf_counter()
         for top in range(rect.y0 // BAND_PX * BAND_PX, rect.y1, BAND_PX):

@@ -2,8 +2,6 @@
 out and why.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
 from arfx.core.codec import Plain
@@ -15,28 +16,28 @@ from arfx.core.codec import Plain
 _CROSS = np.cross(np.eye(3), np.eye(3)[:, None])  # [k, i] = e_i x e_k
 
 
-def skew(v: np.ndarray) -> np.ndarray:
+def skew(v: ndarray) -> ndarray:
     """(..., 3) -> (..., 3, 3) with skew(a) @ b = a x b."""
     return np.tensordot(np.asarray(v, float), _CROSS, 1)
 
 
-def rotation_from_rotvec(rotvec: np.ndarray) -> np.ndarray:
+def rotation_from_rotvec(rotvec: ndarray) -> ndarray:
     """Rotation vector (..., 3), radians, to matrix (..., 3, 3); exact near zero."""
     return np.asarray(Rotation.from_rotvec(rotvec).as_matrix())
 
 
-def rotvec_from_rotation(rotation: np.ndarray) -> np.ndarray:
+def rotvec_from_rotation(rotation: ndarray) -> ndarray:
     """Matrix (..., 3, 3) to rotation vector of length <= pi: stable at 0 and pi."""
     return np.asarray(Rotation.from_matrix(rotation, assume_valid=True).as_rotvec())
 
 
-def rotation_from_quaternion(q: np.ndarray) -> np.ndarray:
+def rotation_from_quaternion(q: ndarray) -> ndarray:
     """(..., 3, 3) of unit quaternions (..., 4), scalar first."""
     k = skew(q[..., 1:])
     return np.asarray(np.eye(3) + 2 * (q[..., :1, None] * k + k @ k))
 
 
-def rotation_from_euler_deg(x: float, y: float, z: float) -> np.ndarray:
+def rotation_from_euler_deg(x: float, y: float, z: float) -> ndarray:
     """Rotation about x, then y, then z (fixed axes), degrees."""
     return np.asarray(Rotation.from_euler("xyz", (x, y, z), degrees=True).as_matrix())
 
@@ -47,8 +48,8 @@ class Pose(Plain):
     rotation : (3, 3) float64, orthonormal, det +1
     translation_m : (3,) float64, metres"""
 
-    rotation: np.ndarray
-    translation_m: np.ndarray
+    rotation: ndarray
+    translation_m: ndarray
 
     def __matmul__(self, other: Pose) -> Pose:
         return Pose(
@@ -65,16 +66,16 @@ class Pose(Plain):
         moved = (1 - share) * self.translation_m + share * other.translation_m
         return Pose(self.rotation @ rotation_from_rotvec(turn), moved)
 
-    def apply(self, points: np.ndarray) -> np.ndarray:
+    def apply(self, points: ndarray) -> ndarray:
         """Points (..., 3) of the source in destination coordinates."""
         return np.asarray(points, float) @ self.rotation.T + self.translation_m
 
     @property
-    def rotvec(self) -> np.ndarray:
+    def rotvec(self) -> ndarray:
         return rotvec_from_rotation(self.rotation)
 
     @property
-    def matrix(self) -> np.ndarray:
+    def matrix(self) -> ndarray:
         m = np.eye(4)
         m[:3, :3], m[:3, 3] = self.rotation, self.translation_m
         return m
@@ -84,7 +85,7 @@ class Pose(Plain):
         return Pose(np.eye(3), np.zeros(3))
 
     @staticmethod
-    def from_rotvec(rotvec: np.ndarray, translation_m: np.ndarray) -> Pose:
+    def from_rotvec(rotvec: ndarray, translation_m: ndarray) -> Pose:
         return Pose(
             rotation_from_rotvec(np.asarray(rotvec, float).reshape(3)),
             np.asarray(translation_m, float).reshape(3),

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.codec import Document, Packed
 from arfx.core.pose import Pose
@@ -31,7 +32,7 @@ class RealDepth(Document):
     map: int
     scale: float
     digest: str
-    tiles: Annotated[np.ndarray, Packed("<f2", "f4")]
+    tiles: Annotated[ndarray, Packed("<f2", "f4")]
     noise: float = TYPICAL_NOISE
 
     @staticmethod
@@ -39,7 +40,7 @@ class RealDepth(Document):
         map: int,
         scale: float,
         digest: str,
-        tiles: np.ndarray,
+        tiles: ndarray,
         noise: float = TYPICAL_NOISE,
     ) -> RealDepth:
         """tiles : of `tile_ranges`, which are made a little wider, to what float16 can hold"""
@@ -53,7 +54,7 @@ class RealDepth(Document):
         return float(self.tiles[0].min()), float(self.tiles[1].max())
 
 
-def tile_ranges(depth_m: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+def tile_ranges(depth_m: ndarray, size: tuple[int, int]) -> ndarray:
     """(2, th, tw) float32, least and greatest dioptre in every tile of a frame of `size`
     (width, height).
     depth_m : (h, w), any size of the same shape as the frame; not finite or <= 0 = unknown.
@@ -65,7 +66,6 @@ def tile_ranges(depth_m: np.ndarray, size: tuple[int, int]) -> np.ndarray:
         dioptre = np.where(known, 1.0 / depth_m, 0.0)
     if not known.any():
         raise ValueError("no pixel of the map is known")
-    low, high = float(dioptre[known].min()), float(dioptre[known].max())
     # one pixel more on each side: the map is resampled to the frame
     rows, columns = (
         [
@@ -77,15 +77,14 @@ def tile_ranges(depth_m: np.ndarray, size: tuple[int, int]) -> np.ndarray:
         for n, of in zip(depth_m.shape, size[::-1], strict=True)
     )
 
-    def tiles(values: np.ndarray, reduce: np.ufunc) -> np.ndarray:
+    def tiles(values: ndarray, reduce: np.ufunc) -> ndarray:
         bands = np.stack([reduce.reduce(values[part]) for part in rows])
         return np.stack([reduce.reduce(bands[:, part], 1) for part in columns], 1)
 
-    whole = tiles(known, np.logical_and)
-    least, most = tiles(dioptre, np.minimum), tiles(dioptre, np.maximum)
-    return np.stack(
-        [np.where(whole, least, low), np.where(whole, most, high)]
-    ).astype("f4")
+    least = np.where(known, dioptre, dioptre[known].min())
+    most = np.where(known, dioptre, dioptre[known].max())
+    ranges = tiles(least, np.minimum), tiles(most, np.maximum)
+    return np.stack(ranges).astype("f4")
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from arfx.core.codec import Plain
 
-
-@dataclass(frozen=True, slots=True)
-class Rect(Plain):
+class Rect(NamedTuple):
     """Half-open pixel rectangle, origin top left: x in [x0, x1), y in [y0, y1)."""
 
     x0: int
@@ -105,13 +101,6 @@ class Rect(Plain):
     @staticmethod
     def of(width: int, height: int) -> Rect:
         return Rect(0, 0, width, height)
-
-    def to_json(self) -> list[int]:
-        return [self.x0, self.y0, self.x1, self.y1]
-
-    @staticmethod
-    def from_json(v: Iterable[int]) -> Rect:
-        return Rect(*(int(x) for x in v))
 
 
 EMPTY = Rect(0, 0, 0, 0)

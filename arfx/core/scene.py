@@ -3,13 +3,12 @@
 Fixed for a whole clip.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
@@ -41,7 +40,7 @@ class Placement:
     rotate_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
-    def world_from_model(self, model: Model, up: str | None = None) -> np.ndarray:
+    def world_from_model(self, model: Model, up: str | None = None) -> ndarray:
         """(4, 4) from the model file's coordinates to metres in marker axes; the middle of
         the base is the origin. Raises ConfigError for a scale that is not above 0,
         InputError for a model without extent."""
@@ -79,7 +78,7 @@ class Scene:
 
     camera: Camera
     model: Model
-    world_from_model: np.ndarray
+    world_from_model: ndarray
     markers: tuple[Marker, ...] = ()
     world_from_marker: Mapping[str, Pose] = field(default_factory=dict)
     world_from_anchor: Pose = field(default_factory=Pose.identity)
@@ -87,7 +86,7 @@ class Scene:
     seed: int = 0
     surface_m: tuple[float, float, float, float] | None = None
     real_planes: tuple[RealPlane, ...] = ()
-    environment_maps: Mapping[str, np.ndarray] = field(default_factory=dict)
+    environment_maps: Mapping[str, ndarray] = field(default_factory=dict)
 
     def light_of(self, facts: FrameFacts) -> Light:
         """Of a frame: its own, else the scene's."""
@@ -113,7 +112,7 @@ class Scene:
         return flatten(self.model, self.world_from_model)
 
     @cached_property
-    def model_points_m(self) -> np.ndarray:
+    def model_points_m(self) -> ndarray:
         """(n, 3) all vertices in world coordinates, metres."""
         return (
             self.model.vertices @ self.world_from_model[:3, :3].T
@@ -132,7 +131,7 @@ class Scene:
             raise InputError(f"model {self.model.source} is {size}", hint)
 
     @cached_property
-    def model_corners_m(self) -> np.ndarray:
+    def model_corners_m(self) -> ndarray:
         """(8, 3) corners of the model's bounding box, world, metres."""
         linear, shift_m = self.world_from_model[:3, :3], self.world_from_model[:3, 3]
         return self.model.corners @ linear.T + shift_m

@@ -1,12 +1,11 @@
 """The one flattening of a model: all its parts as one set of triangles in world axes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.model import Material, Model
 from arfx.core.numerics import normalise, same_rows
@@ -24,9 +23,9 @@ class Edges(NamedTuple):
     one alone. An edge of more than two faces is listed once for each, as an edge of that face alone
     sharp : (e,) bool, it shows from whatever side it is seen"""
 
-    vertices: np.ndarray
-    faces: np.ndarray
-    sharp: np.ndarray
+    vertices: ndarray
+    faces: ndarray
+    sharp: ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,29 +38,28 @@ class SceneMesh:
     uv : (n, 4) float32, both sets of texture coordinates, v = 0 at a picture's top row
     has_uv : (p, 2) bool, which of them a part has;  tangents : (n, 4) float32 as of `Part`, else 0
     faces : (m, 3) int32;  part : (m,) int32, of each face;  face_normal : (m, 3) float32, unit
-    materials : of each part;  object_of : (p,) int32, number of the object that a part belongs to
+    materials : of each part
     """
 
-    centre_m: np.ndarray
-    vertices: np.ndarray
-    normals: np.ndarray
-    colours: np.ndarray
-    uv: np.ndarray
-    has_uv: np.ndarray
-    tangents: np.ndarray
-    faces: np.ndarray
-    part: np.ndarray
-    face_normal: np.ndarray
+    centre_m: ndarray
+    vertices: ndarray
+    normals: ndarray
+    colours: ndarray
+    uv: ndarray
+    has_uv: ndarray
+    tangents: ndarray
+    faces: ndarray
+    part: ndarray
+    face_normal: ndarray
     materials: tuple[Material, ...]
-    object_of: np.ndarray
 
     @cached_property
-    def corners_m(self) -> np.ndarray:
+    def corners_m(self) -> ndarray:
         """(m, 3, 3) float64, corners of the faces, relative to `centre_m`."""
         return np.asarray(self.vertices[self.faces])
 
     @cached_property
-    def hidden_behind(self) -> np.ndarray:
+    def hidden_behind(self) -> ndarray:
         """(m,) bool, faces that are not shown from behind."""
         one_sided = [not material.double_sided for material in self.materials]
         return np.array(one_sided, bool)[self.part]
@@ -71,32 +69,13 @@ class SceneMesh:
         """Of faces that may join in any way."""
         return _edges(self)
 
-    def sample(
-        self, count: int, seed: int = 0
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points spread evenly over the surface, area by area.
 
-        Returns face (count,) int64, barycentric weights (count, 3), positions (count, 3) float64
-        relative to `centre_m`; of no points where the faces have no area."""
-        area = np.linalg.norm(across(self.corners_m), axis=1)
-        if not area.sum() > 0:
-            return np.zeros(0, int), np.zeros((0, 3)), np.zeros((0, 3))
-        u = np.random.default_rng(seed).random((count, 2))
-        along = (np.arange(count) + 0.5) / count
-        face = np.searchsorted(np.cumsum(area) / area.sum(), along).clip(
-            0, len(area) - 1
-        )
-        folded = np.where(u.sum(1, keepdims=True) > 1, 1 - u, u)
-        weights = np.column_stack([1 - folded.sum(1), folded])
-        return face, weights, np.einsum("nk,nkc->nc", weights, self.corners_m[face])
-
-
-def across(corners: np.ndarray) -> np.ndarray:
+def across(corners: ndarray) -> ndarray:
     """(m, 3) out of triangles (m, 3, 3), as long as twice their area."""
     return np.cross(*np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0))
 
 
-def flatten(model: Model, world_from_model: np.ndarray) -> SceneMesh:
+def flatten(model: Model, world_from_model: ndarray) -> SceneMesh:
     """world_from_model : (4, 4), rigid times a uniform scale"""
     linear, shift_m = world_from_model[:3, :3], world_from_model[:3, 3]
     rotation = linear / np.cbrt(abs(np.linalg.det(linear)))
@@ -108,7 +87,7 @@ def flatten(model: Model, world_from_model: np.ndarray) -> SceneMesh:
     )
     faces = np.concatenate([p.faces + n for p, n in zip(parts, starts, strict=False)])
 
-    def rows(name: str, otherwise: np.ndarray) -> np.ndarray:
+    def rows(name: str, otherwise: ndarray) -> ndarray:
         """Of all parts end to end; `otherwise` for each vertex of a part that has none."""
         given = [(getattr(p, name), len(p.vertices)) for p in parts]
         return np.concatenate(
@@ -132,7 +111,6 @@ def flatten(model: Model, world_from_model: np.ndarray) -> SceneMesh:
         ),
         face_normal=normalise(across(vertices[faces])).astype(np.float32),
         materials=tuple(p.material for p in parts),
-        object_of=np.zeros(len(parts), np.int32),
     )
 
 

@@ -2,8 +2,6 @@
 
 Job files, `--set`, messages, help, `arfx stages` and the job's keys follow from the fields."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 import pydantic.dataclasses

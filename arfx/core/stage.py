@@ -5,9 +5,9 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
-import numpy as np
+from numpy import ndarray
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
@@ -24,8 +24,7 @@ from arfx.errors import ArfxError, RenderError
 LEVELS = ("draft", "standard", "high", "reference")  # cheapest first
 
 
-@dataclass(frozen=True, slots=True)
-class Demand:
+class Demand(NamedTuple):
     """What a stage would change in a frame.
     rect : pixels it may change, empty = it does not run, None = those that an earlier
     stage of the frame may change;  reason : in units
@@ -56,7 +55,7 @@ class View:
     key: int
     memo: Memos
 
-    def __getitem__(self, name: Layer) -> np.ndarray:
+    def __getitem__(self, name: Layer) -> ndarray:
         return self.layers[name]
 
     @property
@@ -75,15 +74,14 @@ class View:
         """The frame's, else the scene's."""
         return self.scene.light_of(self.facts)
 
-    def noise(self, channel: int = 0) -> np.ndarray:
+    def noise(self, channel: int = 0) -> ndarray:
         """(h, w) float32 in [0, 1): random, new in every frame, the same for a pixel
         whatever the rectangle.
         """
         return noise(self.rect, self.key, channel)
 
 
-@dataclass(frozen=True)
-class Check:
+class Check(NamedTuple):
     """An estimate beside its limit. action : what was done about it where it is not ok"""
 
     name: str
@@ -102,8 +100,7 @@ class Check:
         }
 
 
-@dataclass(frozen=True)
-class JobView:
+class JobView(NamedTuple):
     """A job whose frames are rendered.
     levels : those at which each stage ran;  picture : renders one frame of a scene by the
     stages named, at these levels, over a
@@ -189,7 +186,7 @@ class Stage:
         """What it estimated in a job, for the report."""
         return ()
 
-    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, ndarray | Pixels]:
         """What it writes, over the rectangle of the view: a plug-in IMAGE, the renderer's parts
         layers that later ones read. prepared : what `prepare` returned"""
         raise NotImplementedError
@@ -248,7 +245,7 @@ class ReadyStage:
 
     def run(
         self, layers: Layers, facts: FrameFacts, out: Rect | None = None
-    ) -> Mapping[Layer, np.ndarray | Pixels]:
+    ) -> Mapping[Layer, ndarray | Pixels]:
         """One frame by itself."""
         return self.stage.run(self.view(layers, facts, out), self.prepared)
 

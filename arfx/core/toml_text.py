@@ -1,7 +1,5 @@
 """TOML as text: written from nested tables, and where a key stands in it."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Lengths and times as people write them."""
 
-from __future__ import annotations
-
 import math
 import re
 
@@ -39,7 +37,7 @@ def length_m(text: str, what: str = "length") -> float:
     return value
 
 
-def time_s(text: str, what: str = "time") -> float:
+def time_s(text: str) -> float:
     """'1.5', '1.5s', '90s', '2min', '01:02.5', '1:02:03' to seconds. Raises ConfigError."""
     t = text.strip()
     value = math.nan
@@ -53,7 +51,7 @@ def time_s(text: str, what: str = "time") -> float:
     if not value <= MAX_TIME_S:
         shown = text if len(text) <= 40 else f"{text[:40]}…"
         raise ConfigError(
-            f"{what}: {shown!r} is not a time",
+            f"time: {shown!r} is not a time",
             "seconds (1.5, 90s), 2min, or h:mm:ss; at most 30 years",
         )
     return value

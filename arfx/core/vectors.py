@@ -1,8 +1,6 @@
 """Vectors of three numbers in compiled loops: tuples, or rows of arrays."""
 
 # mypy: disable-error-code="no-untyped-def"
-from __future__ import annotations
-
 import numpy as np
 
 from arfx.core.compiled import FAST, line_kernel

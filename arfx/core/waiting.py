@@ -2,10 +2,7 @@
 a library's loop.
 """
 
-from __future__ import annotations
-
 import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import Future, wait
 from typing import TypeVar
@@ -38,10 +35,10 @@ def wait_for(phase: str, work: Callable[[], T], progress: Progress) -> T:
         except BaseException as e:
             future.set_exception(e)
 
-    began, told = time.monotonic(), _SOON_S - 1
     threading.Thread(target=run, name=phase, daemon=True).start()
-    while not wait([future], 0.1).done:
-        if (seconds := int(time.monotonic() - began)) > told:
-            told = seconds
+    seconds = 0
+    while not wait([future], 1).done:
+        seconds += 1
+        if seconds >= _SOON_S:
             progress(phase, seconds, None)
     return future.result()

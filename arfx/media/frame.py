@@ -100,13 +100,12 @@ class Frame:
     def _coded(self, rect: Rect) -> tuple[int, ...]:
         if rect.empty or not self.rect.contains(rect):
             raise RenderError(
-                f"frame {self.index}: rectangle {rect.to_json()} is not inside the picture"
-                f" {self.rect.to_json()}"
+                f"frame {self.index}: rectangle {[*rect]} is not inside the picture"
+                f" {[*self.rect]}"
             )
         shown = self.rect
         turn = self.format.orientation
-        r = turn.coded_rect(rect, shown.width, shown.height)
-        return r.x0, r.y0, r.x1, r.y1
+        return turn.coded_rect(rect, shown.width, shown.height)[:]
 
     def linear(self, rect: Rect, out: np.ndarray | None = None) -> np.ndarray:
         """(h, w, 3) float32 linear RGB of an upright rectangle; not clipped, so slightly
@@ -169,7 +168,7 @@ class Frame:
         if not samples.add(s, old, new, r, *light, scratch):
             bad = np.count_nonzero(~np.isfinite(after).all(-1))
             raise RenderError(
-                f"frame {self.index}: {bad} edited pixels in {rect.to_json()} are not"
+                f"frame {self.index}: {bad} edited pixels in {[*rect]} are not"
                 " finite numbers"
             )
         return replace(self, picture=picture)

@@ -24,7 +24,6 @@ blur. Its errors: docs/methods/dof.md#errata."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from math import ceil, sqrt
 from typing import Any
 
@@ -260,7 +259,7 @@ class PrintedDof(Dof):
         if asked.nothing:
             return asked
         whole = self.params.scope == "all"
-        return replace(asked, rect=frame if whole else object_box(facts, frame, 0.0))
+        return asked._replace(rect=frame if whole else object_box(facts, frame, 0.0))
 
     @property
     def weights(self) -> np.ndarray:

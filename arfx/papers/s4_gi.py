@@ -18,7 +18,6 @@ sum). Its errors: docs/methods/gi.md#errata."""
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -156,7 +155,7 @@ class PrintedGi(Stage):
             camera = view.scene.camera.rect
             within = wanted.clip(self._mesh_rect(view.facts, view.scene, camera))
             for y in range(within.y0, within.y1, BAND_PX):
-                band = replace(within, y0=y, y1=min(y + BAND_PX, within.y1))
+                band = within._replace(y0=y, y1=min(y + BAND_PX, within.y1))
                 at, surfels = real_surfels(view, prepared, band)
                 change = self.step4_real(volumes, radiance.V_delta, surfels)
                 light = picture[at]

@@ -1,13 +1,10 @@
 """The plan of a whole clip: levels shot by shot, then one plan per frame. Pure."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
-from arfx.core.cost import Prediction, Prices
+from arfx.core.cost import Prediction, Prices, measured
 from arfx.core.facts import FrameFacts
 from arfx.core.plan import FramePlan
 from arfx.core.scene import Scene
@@ -18,7 +15,6 @@ from arfx.plan.levels import (
     Option,
     ShotStage,
     best_within_budget,
-    by_quality,
     cheapest_within_error,
     sum_correlated,
 )
@@ -28,8 +24,7 @@ _NO_PRICE = Prediction(float("inf"), 0.0, float("inf"))
 PrepareCost = Callable[[str, str], Prediction | None]
 
 
-@dataclass(frozen=True)
-class LevelPolicy:
+class LevelPolicy(NamedTuple):
     """How levels are chosen: a quality by name, or a budget for the whole job, or an error.
 
     budget_s : seconds;  max_error : mean grey levels, over the pixels that are changed;  at
@@ -41,8 +36,7 @@ class LevelPolicy:
     max_error: float | None = None
 
 
-@dataclass(frozen=True)
-class ClipPlan:
+class ClipPlan(NamedTuple):
     """plans : of every frame;  choice : levels and what was predicted of them;  shots :
     first frame of each
     """
@@ -98,15 +92,21 @@ def plan_clip(
         ]
 
     plans = plans_at(dict.fromkeys(shots, usual))
+    if policy.budget_s is None and policy.max_error is None:
+        named = {
+            (f.shot, step.stage): step.level
+            for f, plan in zip(facts, plans, strict=True)
+            for step in plan.steps
+        }
+        why = "levels named by the quality"
+        return ClipPlan(plans, LevelChoice(named, measured(0), 0.0, True, why), shots)
     options = _options(stages, plans, facts, new, scene, prices, errors, prepare_cost)
-    if policy.budget_s is not None:
-        choice = best_within_budget(
-            options, lambda work: seconds_of(plans, work), policy.budget_s
-        )
-    elif policy.max_error is not None:
+    if policy.max_error is not None:
         choice = cheapest_within_error(options, policy.max_error)
     else:
-        return ClipPlan(plans, by_quality(options, usual), shots)
+        choice = best_within_budget(
+            options, lambda work: seconds_of(plans, work), policy.budget_s or 0.0
+        )
     by_shot = {
         shot: {
             name: choice.levels.get((shot, name), level)

@@ -5,8 +5,6 @@ The shipped table is made by tools/measure_errors.py on many clips. Nine in ten 
 between `low` and `high` of a level; the upper end is what a plan counts with, so that what
 it promises holds on most clips."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

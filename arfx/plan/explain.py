@@ -2,8 +2,6 @@
 and why not elsewhere.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence

@@ -7,22 +7,19 @@ second saved than the one before. All steps of a clip, sorted by that rate, are 
 the reference down to the cheapest: a budget or an error only says where on it to stop. So
 less budget never means less error, and never more predicted time."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
-from arfx.core.cost import Prediction, sum_independent
+from arfx.core.cost import Prediction, measured, sum_independent
 
 ShotStage = tuple[int, str]  # shot, stage
 
 
-@dataclass(frozen=True)
-class Option:
+class Option(NamedTuple):
     """One level of one stage over one shot. error : mean grey levels;  frames : in which it runs"""
 
     level: str
@@ -31,8 +28,7 @@ class Option:
     frames: int
 
 
-@dataclass(frozen=True)
-class LevelChoice:
+class LevelChoice(NamedTuple):
     """levels : by (shot, stage);  stages : predicted, all shots and workers together;
     error : of the worst shot, grey levels
     met : the limit holds;  why : in words"""
@@ -182,13 +178,7 @@ def total(state: Mapping[ShotStage, Option]) -> Prediction:
 
 def sum_correlated(parts: Iterable[Prediction]) -> Prediction:
     """The sum of predictions that are all wrong by the same factor."""
-    every = list(parts)
-    return Prediction(
-        *(
-            float(sum(getattr(p, end) for p in every))
-            for end in ("seconds", "low_s", "high_s")
-        )
-    )
+    return Prediction(*map(float, map(sum, zip(measured(0), *parts, strict=True))))
 
 
 def _choice(state: Mapping[ShotStage, Option], met: bool, why: str) -> LevelChoice:

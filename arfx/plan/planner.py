@@ -2,8 +2,6 @@
 no pixel. Each stage says what it would change, or why it does not run, and what it reads for
 that; where the object is not visible, only those that can run are asked."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 
 from arfx.core.cost import Prices

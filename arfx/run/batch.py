@@ -4,8 +4,6 @@ and what they share is loaded once.
 Model, its voxels and what its shadow needs, prices and compiled code are kept by those who
 load them."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -95,8 +93,8 @@ def _each(
                 "exit_code": 0,
                 "message": "",
                 "seconds": 0.0,
+                "report": None,
             }
-            row["report"] = None
             stopped = False
             try:
                 interrupt.resume()  # a signal that came while the last output was put in its place
@@ -132,23 +130,14 @@ def _process(
     finish: Callable[[Path, Path], object],
 ) -> Row:
     report = None if options.report is None else options.report / name
-    made = OutputsMade(place(job.output).parent)
-    if (
-        options.resume
-        and (before := _made_before(job, made, options.overwrite)) is not None
-    ):
-        JobFolder(
-            default_folder(job.output)
-        ).clear()  # of a process that was killed when all was done
-        page = (
-            None
-            if report is None or not (report / PAGE).exists()
-            else str(report / PAGE)
-        )
+    page = None if report is None else report / PAGE
+    if (before := _made_before(job, options)) is not None:
+        # of a process that was killed when all was done
+        JobFolder(default_folder(job.output)).clear()
         return {
             "message": f"{counted(before.frames, 'frames')}, done before",
             "seconds": before.seconds,
-            "report": page,
+            "report": str(page) if page is not None and page.exists() else None,
         }
     began = time.perf_counter()
 
@@ -157,9 +146,8 @@ def _process(
         if report is not None:
             finish(path, report)
         frames = json.loads(folder.report.read_bytes())["output"]["frames"]
-        made.note(
-            job.output, folder.sealed_key(), time.perf_counter() - began, frames
-        )
+        seconds = time.perf_counter() - began
+        _outputs(job).note(job.output, folder.sealed_key(), seconds, frames)
 
     own = None if options.folder is None else options.folder / name
     with _folders_for(job.output):
@@ -169,19 +157,22 @@ def _process(
         )
     return {
         "message": counted(done["output"]["frames"], "frames"),
-        "report": None if report is None else str(report / PAGE),
+        "report": None if page is None else str(page),
     }
 
 
-def _made_before(job: BatchJob, made: OutputsMade, overwrite: bool) -> Made | None:
+def _outputs(job: BatchJob) -> OutputsMade:
+    return OutputsMade(place(job.output).parent)
+
+
+def _made_before(job: BatchJob, options: Options) -> Made | None:
     """What was made of the same clip under the same settings, and is there; None = nothing,
-    or it may be made anew. Raises ConfigError where something else is there."""
-    found = made.of(job.output)
-    if found is None:
-        return None
-    if found.key == job_keys(open_inputs(job.config))[1]:
+    or it may be made anew, or --resume does not ask. Raises ConfigError where something else
+    is there."""
+    found = _outputs(job).of(job.output) if options.resume else None
+    if found is None or found.key == job_keys(open_inputs(job.config))[1]:
         return found
-    if overwrite:
+    if options.overwrite:
         return None
     raise ConfigError(
         f"{job.output} was made of another clip, under other settings or by another"
@@ -191,13 +182,7 @@ def _made_before(job: BatchJob, made: OutputsMade, overwrite: bool) -> Made | No
 
 
 def _plan(job: BatchJob, options: Options) -> Row:
-    if (
-        options.resume
-        and _made_before(
-            job, OutputsMade(place(job.output).parent), options.overwrite
-        )
-        is not None
-    ):
+    if _made_before(job, options) is not None:
         return {"message": "done before", "plan": None}
     with planned_aside(job.config, _of(job, options), placed=False) as planned:
         document = plan_document(planned)

@@ -1,7 +1,5 @@
 """Which clips a batch has, the job of each, and what can be refused before any work."""
 
-from __future__ import annotations
-
 import glob
 import os
 from collections import Counter
@@ -37,17 +35,9 @@ class BatchJob:
     """
 
     config: JobConfig
+    clip: Path
+    output: Path
     root: Path
-
-    @property
-    def clip(self) -> Path:
-        assert self.config.input.clip is not None
-        return self.config.input.clip
-
-    @property
-    def output(self) -> Path:
-        assert self.config.output.path is not None
-        return self.config.output.path
 
 
 def batch_jobs(
@@ -63,7 +53,7 @@ def batch_jobs(
     """
     jobs: list[BatchJob] = []
     problems: list[str] = []
-    clips: dict[Path, Path] = {}
+    clips = set[Path]()
     usual: JobConfig | None = None
     for text in inputs:
         path = Path(text)
@@ -87,7 +77,7 @@ def batch_jobs(
             if clip.absolute() not in clips:
                 usual = usual or load_job([])
                 jobs.append(_job(usual, clip, pattern or usual.output.path))
-                clips[clip.absolute()] = clip
+                clips.add(clip.absolute())
     if problems:
         raise ConfigError(listed(problems))
     if not jobs:
@@ -107,10 +97,8 @@ def _job(config: JobConfig, clip: Path | None, pattern: Path | None) -> BatchJob
         "input": config.input.model_copy(update={"clip": clip}),
         "output": config.output.model_copy(update={"path": output}),
     }
-    return BatchJob(
-        config.model_copy(update=update),
-        fixed_folder(pattern.parent if names_sequence(pattern) else pattern),
-    )
+    root = fixed_folder(pattern.parent if names_sequence(pattern) else pattern)
+    return BatchJob(config.model_copy(update=update), clip, output, root)
 
 
 def clips_at(text: str) -> list[Path]:
@@ -130,11 +118,7 @@ def clips_at(text: str) -> list[Path]:
         if p.suffix.lower() in CLIP_SUFFIXES
         and not p.name.startswith(".")
         and p.is_file()
-    ]
-    clips = [
-        p
-        for p in clips
-        if not (p.parent.name == "chunks" and JobFolder(p.parent.parent).job.exists())
+        and not (p.parent.name == "chunks" and JobFolder(p.parents[1]).job.exists())
     ]
     made = {
         p for folder in {p.parent for p in clips} for p in OutputsMade(folder).files()
@@ -153,6 +137,7 @@ def check_batch(jobs: Sequence[BatchJob], kept: bool) -> None:
 
     kept : outputs that are there are not to be replaced
     Raises ConfigError, InputError."""
+    prices = load_prices()
     for job in jobs:
         if "\0" in f"{job.clip}{job.output}":
             raise ConfigError(
@@ -164,11 +149,7 @@ def check_batch(jobs: Sequence[BatchJob], kept: bool) -> None:
         choose_format(
             job.output, OutputSettings(o.codec, o.crf, o.preset, o.pixel_format)
         )
-    prices = load_prices()
-    for config in {
-        tuple(map(id, job.config.params.values())): job.config for job in jobs
-    }.values():  # clips of one folder share them
-        level_policy(config, make_stages(config), prices)
+        level_policy(job.config, make_stages(job.config), prices)
     _check_distinct(jobs)
     guard = Guard({read for job in jobs for read in files_named(job.config)})
     for job in jobs:

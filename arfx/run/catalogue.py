@@ -3,10 +3,7 @@ Markdown text.
 
 `arfx stages` prints it, and docs/stages.md is the same text."""
 
-from __future__ import annotations
-
 import inspect
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin
@@ -153,32 +150,17 @@ def overview(every: dict[str, Any]) -> str:
     """All stages in running order and the other sections, one line each, in Markdown.
     every : as `everything`
     """
-    return render("run/overview.jinja", **every, runs=_when, summary=_summary)
+    return render("run/overview.jinja", **every)
 
 
-def _when(d: dict[str, Any]) -> str:
-    depends = f", with {' and '.join(d['requires'])}" if d["requires"] else ""
-    return ("always" if d["always"] else "on request") + depends
+def text(d: dict[str, Any]) -> str:
+    """One stage or section in Markdown, with the prices that hold on this machine.
 
-
-def _summary(d: dict[str, Any]) -> str:
-    """The first sentence of what a stage says of itself, without its name."""
-    words = re.sub(
-        rf"^{d['name']}: ", "", " ".join(d["about"].split()), flags=re.IGNORECASE
-    )
-    return re.split(r"(?<=[.])\s", words, maxsplit=1)[0].replace("|", "\\|")
-
-
-def text(d: dict[str, Any], prices: bool = True) -> str:
-    """One stage or section in Markdown.
-
-    d : as `describe`;  prices : with those that hold on this machine
+    d : as `describe`
     """
-    return render("run/stage.jinja", d=d, prices=prices, runs=_when).rstrip()
+    return render("run/stage.jinja", d=d, prices=True).rstrip()
 
 
 def page() -> str:
     """docs/stages.md: everything, without this machine's prices."""
-    every = everything()
-    texts = [text(d, prices=False) for d in every["stages"] + every["sections"]]
-    return render("run/stages.jinja", overview=overview(every), texts=texts) + "\n"
+    return render("run/stages.jinja", **everything()).rstrip() + "\n"

@@ -15,6 +15,7 @@ from arfx.analyse.job import MARKER, Analysis, AnalysisJob
 from arfx.analyse.tables import to_bytes
 from arfx.config.sections import JobConfig, frozen
 from arfx.core import interrupt
+from arfx.core.compiled import telling, work_clock
 from arfx.core.cost import load_prices
 from arfx.core.facts import read_facts, write_facts
 from arfx.core.machine import usable_cores
@@ -43,10 +44,9 @@ from arfx.run.executors import (
 )
 from arfx.run.folder import MARK, JobFolder, Lines, disk_error, pick_previews, write
 from arfx.run.inputs import Inputs, make_scene, open_inputs
-from arfx.run.kernels import JOB, compile_ahead, loading, warn_if_unlisted
 from arfx.run.keys import job_keys
 from arfx.run.model_size import check_size
-from arfx.run.parameters import light_method, make_stages, pipeline, required_facts
+from arfx.run.parameters import light_method, make_stages, required_facts
 from arfx.run.place import Places
 from arfx.run.planned import MAPS, ClipAnalysis, Job, JobPlan, places_in_words
 from arfx.run.predict import JobSize, choose, level_policy
@@ -95,7 +95,7 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
 
     Raises ArfxError of every kind; after JobInterruptedError and RenderError the folder can
     be resumed."""
-    started = time.perf_counter()
+    started = work_clock()
     keep_memory()
     if (options.workers or 1) > 1 and options.executor is None:
         options.processes.prepare()
@@ -107,7 +107,7 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
     with (
         places.held(options.resume),
         _interruptible(folder) as check,
-        warn_if_unlisted(options.notice),
+        telling(options.notice),
         open_cluster(options.executor, options.map_path, options.notice) as cluster,
         frames_kept(),
     ):
@@ -168,14 +168,9 @@ def plan_job(
     started: float | None = None,
     cluster: Cluster | None = None,
 ) -> Job:
-    """Analyse (or resume that) and plan. started : perf_counter when the work began; None = now"""
+    """Analyse (or resume that) and plan. started : `work_clock` when the work began; None = now"""
     config = inputs.config
-    parts = (JOB, *pipeline(config))
-    log = WorkLog(folder.timings, time.perf_counter() if started is None else started)
-    before = time.perf_counter()
-    compile_ahead(parts, options.progress, options.notice)
-    # as if the work had begun later: other jobs are spared it
-    log.began += time.perf_counter() - before
+    log = WorkLog(folder.timings, work_clock() if started is None else started)
     analysis_key, job_key = job_keys(inputs)
     stages, prices = make_stages(config), load_prices()
     policy = level_policy(config, stages, prices)
@@ -195,11 +190,10 @@ def plan_job(
     if fresh:
         folder.unseal()
         folder.clear("chunks/")  # another plan may choose other levels
-        with loading(parts if options.workers in (None, 1) else (JOB,)):
-            _analyse(inputs, folder, analysis_key, options, log, cluster)
+        _analyse(inputs, folder, analysis_key, options, log, cluster)
     analysed, facts = ClipAnalysis.read(folder), list(read_facts(folder.facts))
     scene = analysed.scene(config, inputs.camera, inputs.model, folder)
-    start = time.perf_counter()
+    start = work_clock()
     if fresh:
         size = _size(inputs, analysed, stages, log.spent(analysis_key, []), options)
         notices: list[str] = []
@@ -226,7 +220,7 @@ def plan_job(
     document = json.loads(folder.plan_summary.read_text(encoding="utf-8"))
     plans = Lines(folder.plan, FramePlan.from_line)[:]
     plan = JobPlan(
-        plans, document["levels"], document["predicted"], time.perf_counter() - start
+        plans, document["levels"], document["predicted"], work_clock() - start
     )
     return Job(
         inputs,
@@ -262,7 +256,6 @@ def _size(
         workers,
         0 if threads or workers == 1 else workers,
         inputs.model.face_count / 1e6,
-        tuple(analysed.keys),
         frozenset(
             name
             for name, stage in stages.items()

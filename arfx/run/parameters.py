@@ -1,7 +1,5 @@
 """Which settings exist, and the stages of a job made from them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 

@@ -7,15 +7,11 @@ beside it) + what every worker prepares
 prepares again.
 """
 
-from __future__ import annotations
-
-import operator
-import time
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from arfx.config.sections import JobConfig
+from arfx.core.compiled import work_clock
 from arfx.core.cost import Prediction, Prices, measured, sum_independent, with_spread
 from arfx.core.facts import FrameFacts
 from arfx.core.plan import FramePlan, levels_of
@@ -27,7 +23,7 @@ from arfx.plan.clip import LevelPolicy, plan_clip
 from arfx.plan.errors import Errors
 from arfx.plan.explain import without_price
 from arfx.plan.levels import sum_correlated
-from arfx.run.schedule import borders, elapsed, lead_frames
+from arfx.run.schedule import borders, elapsed
 
 DECODE_SPREAD = (
     0.25  # decoding again beside the rendering, against decoding beside the analysis
@@ -40,16 +36,14 @@ UNSHARED = (
 )  # phases that the workers do not share
 
 
-@dataclass(frozen=True)
-class JobSize:
+class JobSize(NamedTuple):
     """What of a job the price of everything but its stages depends on.
 
     frame_mpx : millions of pixels of a frame;  frames : of the job;  decode_s : of all
     frames, as the analysis measured it
     before_s : seconds up to now;  workers, processes : how many render, and how many of
     them are further processes
-    keys : frames that decoding can begin at;  checked : stages that the report may prepare
-    once more, for their health
+    checked : stages that the report may prepare once more, for their health
     """
 
     frames: int
@@ -60,12 +54,10 @@ class JobSize:
     workers: int
     processes: int
     mfaces: float
-    keys: tuple[int, ...]
     checked: frozenset[str]
 
 
-@dataclass(frozen=True)
-class JobPrediction:
+class JobPrediction(NamedTuple):
     """phases : seconds of each, summed over the workers, None = not known;  workers : at once
     share : of the seconds that the workers share, the fraction that passes on the wall clock
     """
@@ -118,19 +110,15 @@ def predict(
     edit = prices.predict("edit", edited) if changed else measured(0.0)
     whole = {"frames": float(size.frames), "mpx": size.frames * size.frame_mpx}
     encode = prices.predict(f"encode {size.codec}", whole)
-    share, lead_s = _shared(
-        plans,
-        work,
-        size,
-        prices,
-        *(0.0 if p is None else p.seconds for p in (edit, encode)),
-    )
+    edit_s, encode_s = (0.0 if p is None else p.seconds for p in (edit, encode))
+    alone = 1.0 if size.processes else prices.alone
+    share = _share(plans, work, size, edit_s, encode_s, alone)
     phases = {
         "before": measured(size.before_s),
         "prepare": measured(0.0)
         if prepared
         else prepare(levels_of(plans), size, prices),
-        "decode": with_spread(size.decode_s + lead_s, DECODE_SPREAD),
+        "decode": with_spread(size.decode_s, DECODE_SPREAD),
         "stages": work,
         "edit": edit,
         "encode": encode,
@@ -142,38 +130,32 @@ def predict(
     return JobPrediction(phases, share, size.workers)
 
 
-def _shared(
+def _share(
     plans: Sequence[FramePlan],
     work: Prediction | None,
     size: JobSize,
-    prices: Prices,
     edit_s: float,
     encode_s: float,
-) -> tuple[float, float]:
-    """(wall seconds per second of work that the workers share, seconds of decoding only to
-    get to where a chunk begins)
+    alone: float,
+) -> float:
+    """Wall seconds per second of work that the workers share, chunk by chunk. A worker that
+    is alone encodes while it renders.
 
-    A worker that is alone encodes a chunk while it renders it."""
+    alone : as of `elapsed`"""
+    stages_s = 0.0 if work is None else work.seconds
+    total_s = size.decode_s + edit_s + encode_s + stages_s
+    if total_s <= 0:
+        return 1.0 / size.workers
+    if size.workers == 1:
+        return max(total_s - encode_s, encode_s) / total_s
     planned = [sum(s.seconds or 0.0 for s in p.steps) for p in plans]
-    scale = 1.0 if work is None or not sum(planned) else work.seconds / sum(planned)
-    decode_s, render_s, write_s = (
-        s / max(size.frames, 1)
-        for s in (size.decode_s, size.decode_s + edit_s, encode_s)
-    )
-    both: Callable[[float, float], float] = max if size.workers == 1 else operator.add
-    chunks = borders(size.frames)
-    leads = [decode_s * n for n in lead_frames(chunks, size.workers, size.keys)]
+    scale = stages_s / (sum(planned) or 1.0)
+    per_frame_s = (total_s - stages_s) / size.frames
     loads = [
-        lead
-        + both(
-            render_s * (b - a + 1) + scale * sum(planned[a : b + 1]),
-            write_s * (b - a + 1),
-        )
-        for (a, b), lead in zip(chunks, leads, strict=True)
+        per_frame_s * (b - a + 1) + scale * sum(planned[a : b + 1])
+        for a, b in borders(size.frames)
     ]
-    wall_s = elapsed(loads, size.workers, 1.0 if size.processes else prices.alone)
-    total_s = size.decode_s + edit_s + encode_s + scale * sum(planned) + sum(leads)
-    return (wall_s / total_s if total_s > 0 else 1.0 / size.workers), sum(leads)
+    return elapsed(loads, size.workers, alone) / total_s
 
 
 def prepare(
@@ -271,13 +253,13 @@ def choose(
 ) -> tuple[list[FramePlan], dict[str, Any]]:
     """The plans of all frames, and {predicted, levels}: final, whatever the job measures later."""
     if config.pipeline.fps is not None:
-        policy = replace(policy, budget_s=len(facts) / config.pipeline.fps)
+        policy = policy._replace(budget_s=len(facts) / config.pipeline.fps)
 
-    began = time.perf_counter()
+    began = work_clock()
 
     def by_now() -> JobSize:
-        return replace(
-            size, before_s=size.before_s + time.perf_counter() - began
+        return size._replace(
+            before_s=size.before_s + work_clock() - began
         )  # planning takes its time too
 
     def upper_s(plans: Sequence[FramePlan], work: Prediction) -> float:

@@ -14,14 +14,10 @@ collect_seldom()
 import arfx.run.stretches  # noqa: E402
 import arfx.run.worker  # noqa: E402, F401
 from arfx.papers import FORMULAS  # noqa: E402
-from arfx.run.kernels import JOB, listed_kernels  # noqa: E402
 from arfx.stages import STAGES  # noqa: E402
 
 for table in (STAGES, *FORMULAS.values()):
     table.load()
-for kernel in listed_kernels((JOB,)):
-    if kernel.is_cached:
-        kernel.load()
 if "multiprocessing.forkserver" in " ".join(
     sys.orig_argv
 ):  # it ends at once, without taking apart all of that

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import heapq
-from bisect import bisect_right
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -75,21 +74,6 @@ def steal(own: deque[T], queues: Sequence[deque[T]]) -> T | None:
     if not longest:
         return None
     return own.popleft() if own else longest.pop()
-
-
-def lead_frames(
-    chunks: Sequence[tuple[int, int]], workers: int, keys: Sequence[int]
-) -> list[int]:
-    """Frames that are decoded only to get to where each chunk begins: a worker's first one.
-
-    chunks : as of `borders`;  keys : frames that decoding can begin at
-    """
-    begun = {queue[0] for queue in work_queues(chunks, workers)}
-    before = [keys[k - 1] if (k := bisect_right(keys, a)) else 0 for a, _ in chunks]
-    return [
-        chunk[0] - key if chunk in begun else 0
-        for chunk, key in zip(chunks, before, strict=True)
-    ]
 
 
 def elapsed(seconds: Sequence[float], workers: int, alone: float = 1.0) -> float:

@@ -14,6 +14,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from arfx.core.compiled import work_clock
 from arfx.run.folder import append_line, read_lines
 from arfx.run.memory import peak_mb
 
@@ -69,11 +70,11 @@ class TimeSpent:
 class WorkLog:
     """timings.jsonl of a job folder.
 
-    began : perf_counter at the start of this process's work on the job
+    began : `work_clock` at the start of this process's work on the job
     """
 
     path: Path
-    began: float = field(default_factory=time.perf_counter)
+    began: float = field(default_factory=work_clock)
     process: str = field(default_factory=lambda: f"{time.time_ns():x}-{os.getpid()}")
 
     def rows(self) -> Iterator[dict[str, Any]]:
@@ -90,7 +91,7 @@ class WorkLog:
 
         earlier : of the processes without whose work this would not be
         """
-        return {**earlier, self.process: time.perf_counter() - self.began}
+        return {**earlier, self.process: work_clock() - self.began}
 
     def note(
         self,

@@ -10,7 +10,6 @@ from arfx_cli.console import (
     Progress,
     arfx_command,
     detail_template,
-    note,
     print_table,
     say,
     wrote_json,
@@ -55,12 +54,10 @@ def command(
         return
     from arfx.measure.bench import bench
     from arfx.plan.errors import errors_of_clip, shipped_errors
-    from arfx.run.kernels import compile_ahead
 
     errors = shipped_errors() if tradeoff is None else errors_of_clip(tradeoff)
     parsed = [parse_size(s) for s in sizes]
     with Progress("timed") as progress:
-        compile_ahead(None, progress, note)
         rows = bench(parsed, stage, level, progress, errors=errors)
     detail_template("measure/bench_detail.jinja", rows=rows)
     if wrote_json(rows):
@@ -73,12 +70,10 @@ def _calibrate(stage: str | None, level: str | None) -> None:
     from arfx.core.cost import TERMS, load_prices
     from arfx.errors import ConfigError
     from arfx.measure.costs import calibrate, save_prices
-    from arfx.run.kernels import compile_ahead
 
     if level is not None:
         raise ConfigError("--calibrate measures every level", "leave out --level")
     with Progress("done") as progress:
-        compile_ahead(None, progress, note)
         prices = calibrate(progress, stage=stage)
     if stage is not None:
         prices = load_prices().with_stage(stage, prices)

@@ -33,7 +33,6 @@ _OUTPUT = (
 _LEVEL = (
     "arfx_cli.level"  # in the context of the running command: -1 quiet, 0, 1 verbose
 )
-_PHASES = {"compile": "compiling kernels for this processor, once", **WAITS}
 
 
 class Command(click.Command):
@@ -227,7 +226,7 @@ class Progress:
         """Phase `phase` has finished `done` of `total` steps (None = not known)."""
         if self._quiet:
             return
-        words = self._title + _PHASES.get(phase, phase)
+        words = self._title + WAITS.get(phase, phase)
         if self._bars:
             if phase not in self._shown:
                 self._shown[phase] = self._bars.add_task(words, total=total)
@@ -241,7 +240,7 @@ class Progress:
             amount = (
                 f"{done}/{counted(total, unit)}" if total else counted(done, unit)
             )
-            say(f"{words}: {f'{done} of {total}' if phase == 'compile' else amount}")
+            say(f"{words}: {amount}")
 
 
 def say_job(report: dict[str, Any]) -> None:

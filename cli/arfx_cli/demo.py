@@ -8,8 +8,6 @@ import click
 
 from arfx_cli.console import Progress, arfx_command, note, say_job, wrote_json
 
-EFFECTS = ("dof",)  # of the demo's job
-
 
 @arfx_command("demo")
 def command(folder: Path, overwrite: bool) -> None:
@@ -26,11 +24,9 @@ def command(folder: Path, overwrite: bool) -> None:
     from arfx.media.images import write_png
     from arfx.run.folder import JobFolder, load_previews
     from arfx.run.job import Options, process
-    from arfx.run.kernels import JOB, SYNTH, compile_ahead
     from arfx.run.lock import locked
     from arfx.run.parameters import parameters
     from arfx.run.place import REPORT_FILES
-    from arfx.stages import stages_with
     from arfx.synth.clip import make_clip
     from arfx.synth.description import DEMO_SCENE, load_scene
 
@@ -51,7 +47,6 @@ def command(folder: Path, overwrite: bool) -> None:
             write_png(part, np.hstack(previews[len(previews) // 2][1:]))
 
     with locked(folder, "-o"), Progress() as progress:
-        compile_ahead((SYNTH, JOB, *stages_with(EFFECTS)), progress, note)
         make_clip(
             load_scene(DEMO_SCENE),
             folder / "clip",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
 
 from arfx_cli.console import arfx_command, print_table, wrote_json
 
@@ -29,13 +28,13 @@ def command(focal: str, fnumber: float, distance: str, coc: str) -> None:
         1e3 * length_m(distance, "--distance"),
     )
     coc_mm = 1e3 * length_m(coc, "--coc")
-    corrected = asdict(depth_of_field(lens, coc_mm))
+    corrected = depth_of_field(lens, coc_mm)._asdict()
     document = {
         "focal_mm": lens.focal_mm,
         "fnumber": fnumber,
         "distance_mm": lens.focus_mm,
         "coc_mm": coc_mm,
-        PAPER: asdict(printed_limits(lens, coc_mm)),
+        PAPER: printed_limits(lens, coc_mm)._asdict(),
         CORRECTED: corrected | {"back_is_infinite": corrected["back_mm"] == math.inf},
     }
     if not wrote_json(document):

@@ -11,7 +11,6 @@ from arfx_cli.console import (
     Progress,
     arfx_command,
     detail,
-    note,
     print_table,
     say,
     wrote_json,
@@ -38,7 +37,6 @@ def command(paper: str, folder: Path, short: bool, overwrite: bool) -> None:
     from arfx.reproduce import PAPERS
     from arfx.reproduce.document import page_name, reproduce, text
     from arfx.reproduce.work import Work
-    from arfx.run.kernels import SYNTH, compile_ahead
     from arfx.run.place import PAGE_START, files_locked
 
     papers = list(PAPERS) if paper == "all" else [paper]
@@ -47,12 +45,10 @@ def command(paper: str, folder: Path, short: bool, overwrite: bool) -> None:
         with (
             files_locked(Guard((), overwrite), folder, pages),
             Progress("steps") as progress,
+            tempfile.TemporaryDirectory(prefix="arfx-reproduce-") as scratch,
         ):
-            compile_ahead((SYNTH,), progress, note)
-            with tempfile.TemporaryDirectory(prefix="arfx-reproduce-") as scratch:
-                document = reproduce(
-                    papers, folder, Work(Path(scratch), short, progress, detail)
-                )
+            work = Work(Path(scratch), short, progress, detail)
+            document = reproduce(papers, folder, work)
     except JobInterruptedError:  # its message says that the job can be resumed
         raise KeyboardInterrupt from None
     if wrote_json(document):

@@ -9,7 +9,6 @@ from arfx_cli.console import (
     Progress,
     arfx_command,
     detail_template,
-    note,
     say,
     wrote_json,
 )
@@ -27,7 +26,6 @@ def command(scene: Path, folder: Path, kinds: str | None, overwrite: bool) -> No
     Example:
       arfx synth sample_scenes/0001-orbit/scene.toml -o out/orbit"""
     from arfx.errors import ConfigError
-    from arfx.run.kernels import SYNTH, compile_ahead
     from arfx.synth.clip import make_clip
     from arfx.synth.description import load_scene
 
@@ -44,7 +42,6 @@ def command(scene: Path, folder: Path, kinds: str | None, overwrite: bool) -> No
             )
         description = description.model_copy(update={"truth": chosen})
     with Progress() as progress:
-        compile_ahead((SYNTH,), progress, note)
         truth = make_clip(description, folder, path.parent, progress, overwrite)
     files = sorted(str(p.relative_to(folder)) for p in folder.iterdir())
     say(f"{len(truth.frames)} frames in {folder}: {', '.join(files)}")

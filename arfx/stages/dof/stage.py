@@ -170,7 +170,7 @@ def blurred_rect(real: Real, grid: np.ndarray, coc: CircleOfConfusion) -> Rect:
                 radius, np.where(plane.within(positions, 4.0), own, 0)
             )
     box = box_of(radius > SHARP_PX)
-    whole = Rect(*(side * v for v in (box.x0, box.y0, box.x1, box.y1)))
+    whole = Rect(*(side * v for v in box))
     return whole.pad(int(np.ceil(float(radius.max()))) + 1 + node)
 
 

@@ -13,7 +13,7 @@ Cost: O(pixels x samples)."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -243,7 +243,7 @@ class Pixels:
     def _mean(self, draw: Draw, rows: Rows) -> np.ndarray:
         """(n, 3) of all samples of some pixels. draw : one, of numbers (n, BOUNCES + 1, NUMBERS)"""
         (row, column), rect, count = rows, self.view.rect, len(rows[0])
-        band = replace(rect, y0=rect.y0 + int(row[0]), y1=rect.y0 + int(row[-1]) + 1)
+        band = rect._replace(y0=rect.y0 + int(row[0]), y1=rect.y0 + int(row[-1]) + 1)
         drawn = (noise(band, self.view.key, k) for k in range(DIMENSIONS))
         shift = np.stack([each[row - row[0], column] for each in drawn], -1)
         total = np.zeros((count, 3))

@@ -7,9 +7,11 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable
+import tempfile
+import time
+from collections.abc import Iterator
 from pathlib import Path
-from types import FunctionType, ModuleType
+from types import FunctionType
 
 import numba
 import numpy as np
@@ -18,34 +20,43 @@ from numba.core.caching import IndexDataCacheFile
 
 from arfx.core import compiled
 
+KERNEL = "from arfx.{} import SIZE\n@line_kernel()\ndef f(x):\n    return x + SIZE\n"
+
 
 @pytest.fixture
-def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A package's folder with compiled code in it, and a home; nothing is remembered from
-    other tests.
+def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A package with compiled code that came with it, and a home; nothing is remembered
+    from other tests.
     """
-    home = tmp_path / "home"
+    home, package = tmp_path / "home", tmp_path / "package"
     home.mkdir()
     for name in ("XDG_CACHE_HOME", "NUMBA_CACHE_DIR", "LOCALAPPDATA"):
         monkeypatch.delenv(name, raising=False)
     for name in ("HOME", "USERPROFILE"):
         monkeypatch.setenv(name, str(home))
-    beside = tmp_path / "package" / "__pycache__"
-    beside.mkdir(parents=True)
-    (beside / "a.f-1.py311.nbi").write_bytes(b"index")
-    (beside / "a.f-1.py311.1.nbc").write_bytes(b"code")
-    for cached in (compiled.code_folder, compiled._folder_of_this_run):
-        cached.cache_clear()
-    yield beside.parent
-    for cached in (compiled.code_folder, compiled._folder_of_this_run):
-        cached.cache_clear()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    monkeypatch.setattr(compiled, "_PACKAGE", package)
+    package.mkdir()
+    (package / "size.py").write_text("SIZE = 3\n")
+    (package / "loops.py").write_text(KERNEL.format("size"))
+    shipped = shipped_in(package)
+    shipped.mkdir(parents=True)
+    (shipped / "a.f-1.py311.nbi").write_bytes(b"index")
+    (shipped / "a.f-1.py311.1.nbc").write_bytes(b"code")
+    compiled.code_folder.cache_clear()
+    yield package
+    compiled.code_folder.cache_clear()
+
+
+def shipped_in(package: Path) -> Path:
+    return package / "__pycache__" / f"compiled-{compiled._digest()}"
 
 
 def unwritable(monkeypatch: pytest.MonkeyPatch, *folders: Path) -> None:
     """The root user may write anywhere: permissions alone would test nothing for it."""
     filled = compiled._prepare_folder
 
-    def refuses(place: Path, came: list[Path]) -> bool:
+    def refuses(place: Path, came: Path) -> bool:
         return not any(place.is_relative_to(folder) for folder in folders) and filled(
             place, came
         )
@@ -54,15 +65,14 @@ def unwritable(monkeypatch: pytest.MonkeyPatch, *folders: Path) -> None:
 
 
 def test_compiled_code_lies_beside_the_modules(tree: Path) -> None:
-    assert compiled.code_folder(tree) == tree / "__pycache__"
-    assert compiled.cache_persists()
+    assert compiled.code_folder() == shipped_in(tree)
 
 
 def test_a_named_folder_comes_first_and_holds_what_came_with_the_package(
     tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "named"))
-    kept = compiled.code_folder(tree)
+    kept = compiled.code_folder()
     assert kept.is_relative_to(tmp_path / "named")
     assert {p.name: p.read_bytes() for p in kept.iterdir()} == {
         "a.f-1.py311.nbi": b"index",
@@ -74,32 +84,39 @@ def test_a_read_only_package_uses_the_users_folder_and_what_was_compiled_since_s
     tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     unwritable(monkeypatch, tree)
-    kept = compiled.code_folder(tree)
+    kept = compiled.code_folder()
     assert kept.is_relative_to(tmp_path / "home")
     (kept / "a.f-1.py311.nbi").write_bytes(b"index of more")
     compiled.code_folder.cache_clear()
-    assert (
-        compiled.code_folder(tree) == kept
-        and (kept / "a.f-1.py311.nbi").read_bytes() == b"index of more"
-    )
-    (tree / "__pycache__" / "a.f-1.py311.1.nbc").write_bytes(
-        b"code of another release"
-    )
-    compiled.code_folder.cache_clear()
-    assert (
-        compiled.code_folder(tree) / "a.f-1.py311.1.nbc"
-    ).read_bytes() == b"code of another release"
+    assert compiled.code_folder() == kept
+    assert (kept / "a.f-1.py311.nbi").read_bytes() == b"index of more"
 
 
-def test_where_nothing_can_be_written_a_folder_of_this_run_is_used_and_passed_on(
+def test_where_nothing_else_can_be_written_a_temporary_folder_is_used(
     tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "home" / "named"))
-    unwritable(monkeypatch, tree, tmp_path / "home", Path(compiled.__file__).parent)
-    kept = compiled.code_folder(tree)
+    unwritable(monkeypatch, tree, tmp_path / "home")
+    kept = compiled.code_folder()
+    assert kept.is_relative_to(tmp_path / "temporary")
     assert (kept / "a.f-1.py311.1.nbc").read_bytes() == b"code"
-    assert not compiled.cache_persists()
-    assert kept.is_relative_to(os.environ["NUMBA_CACHE_DIR"])
+
+
+def test_code_is_stale_when_what_it_calls_or_holds_has_changed(
+    tree: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    digests = [compiled._digest()]
+    assert compiled._digest() == digests[0]
+    (tree / "another.py").write_text("SIZE = 5\n")
+    assert compiled._digest() == digests[0]
+    (tree / "size.py").write_text("SIZE = 4\n")
+    digests.append(compiled._digest())
+    (tree / "loops.py").write_text(KERNEL.format("another"))
+    digests.append(compiled._digest())
+    assert numba.config.SLP_VECTORIZE == 1
+    monkeypatch.setenv("NUMBA_SLP_VECTORIZE", "0")
+    digests.append(compiled._digest())
+    assert len(set(digests)) == 4
 
 
 @pytest.mark.process
@@ -121,7 +138,7 @@ import arfx.core.rect, arfx.media.samples, arfx.stages.composite
         env={**os.environ, "TMPDIR": str(tmp_path)},
     )  # fmt: skip
     assert got.returncode == 0, got.stderr
-    assert not list(tmp_path.iterdir()), "the folder of the run stays behind"
+    assert list(tmp_path.glob("arfx-*/compiled-*"))
 
 
 def function(file: Path, source: str, **known: object) -> FunctionType:
@@ -134,68 +151,15 @@ def function(file: Path, source: str, **known: object) -> FunctionType:
     return module["f"]
 
 
-CALLER = (
-    "from arfx.callee import (\n    g,\n    SIZE,\n)\nfrom arfx.size import OTHER\n"
-)
-CALLEE = (
-    "from arfx.size import SIZE\n@line_kernel()\ndef g(x):\n    return x + SIZE\n"
-)
-
-
-@pytest.fixture
-def stamp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
-    """The stamp of a function in `caller`, which imports of `callee`, as that of `size`."""
-
-    def stamped(**texts: str) -> str:
-        texts = {
-            "caller": CALLER,
-            "callee": CALLEE,
-            "size": "SIZE = OTHER = 3\n",
-        } | texts
-        for name, text in texts.items():
-            file = tmp_path / f"{name}.py"
-            file.write_text(text)
-            module = ModuleType(f"arfx.{name}")
-            module.__file__ = str(file)
-            monkeypatch.setitem(sys.modules, module.__name__, module)
-        compiled._stamp.cache_clear()
-        compiled._text.cache_clear()
-        made = function(tmp_path / "f.py", "def f():\n    return 0\n")
-        return compiled.CacheLocator(
-            made, str(tmp_path / "caller.py")
-        ).get_source_stamp()
-
-    yield stamped
-    compiled._stamp.cache_clear()
-    compiled._text.cache_clear()
-
-
 def test_the_folder_of_compiled_code_is_made_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Somebody may clear caches while a job runs."""
     gone = tmp_path / "gone"
-    monkeypatch.setattr(compiled, "code_folder", lambda folder: gone)
+    monkeypatch.setattr(compiled, "code_folder", lambda: gone)
     made = function(tmp_path / "f.py", "def f():\n    return 0\n")
-    compiled.CacheLocator(made, str(tmp_path / "f.py")).ensure_cache_path()
+    compiled.CacheLocator(made).ensure_cache_path()
     assert gone.is_dir()
-
-
-def test_code_is_stale_when_what_it_calls_or_holds_has_changed(
-    stamp: Callable[..., str],
-) -> None:
-    before = stamp()
-    assert stamp() == before
-    assert stamp(caller=CALLER + "# another\n") != before
-    assert stamp(callee=CALLEE.replace("x + SIZE", "x - SIZE")) != before
-    assert stamp(size="SIZE = OTHER = 4\n") != before
-
-
-def test_code_is_stale_when_what_it_calls_is_given_another_value(
-    stamp: Callable[..., str],
-) -> None:
-    caller = "from arfx.callee import g\n"
-    assert stamp(caller=caller) != stamp(caller=caller, size="SIZE = 4\n")
 
 
 def test_code_for_a_type_that_is_gone_is_stale(
@@ -206,9 +170,7 @@ def test_code_for_a_type_that_is_gone_is_stale(
     name = f"renamed_{tmp_path.name}".replace("-", "_")
     (tmp_path / f"{name}.py").write_text("class Pair:\n    pass\n")
     module = importlib.import_module(name)
-    compiled.CacheLocator.from_function(
-        function(tmp_path / "f.py", "def f():\n    return 0\n"), "f.py"
-    )
+    compiled._numba()
     index = IndexDataCacheFile(str(tmp_path), "a.f-1.py311", "stamp")
     index.save(module.Pair, "code")
     assert index.load(module.Pair) == "code"
@@ -216,15 +178,6 @@ def test_code_for_a_type_that_is_gone_is_stale(
     assert index.load("another") is None
     index.save("another", "its code")
     assert index.load("another") == "its code"
-
-
-def test_code_that_was_compiled_without_the_slp_pass_is_stale(
-    stamp: Callable[..., str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert numba.config.SLP_VECTORIZE == 1
-    before = stamp()
-    monkeypatch.setenv("NUMBA_SLP_VECTORIZE", "0")
-    assert stamp() != before
 
 
 def test_every_compiling_module_is_known_as_one() -> None:
@@ -267,9 +220,7 @@ def test_nothing_else_names_the_flag() -> None:
 @pytest.mark.parametrize("ending", [".nbi", ".1.nbc"])
 @pytest.mark.parametrize("how", ["empty", "cut", "noise"])
 def test_a_damaged_file_is_stale(tmp_path: Path, ending: str, how: str) -> None:
-    compiled.CacheLocator.from_function(
-        test_a_damaged_file_is_stale, __file__
-    )  # which teaches numba
+    compiled._numba()
     kept = IndexDataCacheFile(str(tmp_path), "f", "stamp")
     kept.save("key", list(range(100)))
     file = tmp_path / f"f{ending}"
@@ -291,16 +242,37 @@ def test_a_folder_that_others_may_write_to_is_not_used_and_nothing_is_copied_fro
     tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(compiled, "open_folders", [])
-    (tree / "__pycache__").chmod(0o777)
-    kept = compiled.code_folder(tree)
+    shipped_in(tree).chmod(0o777)
+    kept = compiled.code_folder()
     assert kept.is_relative_to(tmp_path / "home") and not [*kept.iterdir()]
     named = tmp_path / "named"
     named.mkdir()
     named.chmod(0o777)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(named))
     compiled.code_folder.cache_clear()
-    assert compiled.code_folder(tree) == kept
+    assert compiled.code_folder() == kept
     assert named in {folder.parent for folder in compiled.open_folders}
     named.chmod(0o1777)  # as /tmp is: nobody replaces another's folder
     compiled.code_folder.cache_clear()
-    assert compiled.code_folder(tree).parent == named
+    assert compiled.code_folder().parent == named
+
+
+def test_compiling_is_said_once_with_what_keeps_compiled_code_from_being_used(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(compiled, "open_folders", [Path("open")])
+    notices: list[str] = []
+    with compiled.telling(notices.append):
+        for number in (1, 1.5, 2):
+            numba.njit(lambda x: x + 1)(number)
+    numba.njit(lambda x: x + 2)(1)
+    compiling, others = notices
+    assert compiling.startswith("compiling kernels, once") and "chmod go-w" in others
+
+
+def test_compiling_is_no_part_of_a_jobs_time() -> None:
+    before = compiled.work_clock()
+    began = time.perf_counter()
+    numba.njit(lambda x: x * 3 + 1)(2.5)
+    passed = time.perf_counter() - began
+    assert compiled.work_clock() - before < passed / 2

@@ -28,8 +28,8 @@ def test_what_the_work_returns_or_raises_comes_back_and_short_work_says_nothing(
 def test_long_work_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("arfx.core.waiting._SOON_S", 0)
     told: list[tuple[str, int, int | None]] = []
-    wait_for("model", lambda: time.sleep(0.3), lambda *a: told.append(a))
-    assert told == [("model", 0, None)]
+    wait_for("model", lambda: time.sleep(1.5), lambda *a: told.append(a))
+    assert told == [("model", 1, None)]
 
 
 def test_a_signal_ends_the_wait_not_the_work() -> None:

@@ -1,5 +1,5 @@
-"""What a job is predicted to take beside its stages' work: who waits, what is decoded
-twice, what the report makes anew.
+"""What a job is predicted to take beside its stages' work: who waits, what the report
+makes anew.
 """
 
 from __future__ import annotations
@@ -35,7 +35,6 @@ SIZE = JobSize(
     workers=2,
     processes=0,
     mfaces=0.0,
-    keys=(0,),
     checked=frozenset(),
 )
 
@@ -58,8 +57,7 @@ def of(
 
 
 def test_work_that_lies_in_one_chunk_takes_as_long_as_alone() -> None:
-    size = replace(SIZE, keys=(0, 30, 60, 90))
-    spread, together = of(plans(range(0, 120, 4)), size), of(plans(range(30)), size)
+    spread, together = of(plans(range(0, 120, 4))), of(plans(range(30)))
     assert (
         spread.phases["stages"].seconds
         == pytest.approx(together.phases["stages"].seconds)
@@ -73,22 +71,12 @@ def test_work_that_lies_in_one_chunk_takes_as_long_as_alone() -> None:
     )
 
 
-def test_the_second_thread_decodes_what_lies_before_its_stretch() -> None:
-    far, near = (
-        of(plans(range(120))),
-        of(plans(range(120)), replace(SIZE, keys=(0, 60))),
-    )
-    assert far.phases["decode"].seconds == pytest.approx(1.2 + 0.6) and near.phases[
-        "decode"
-    ].seconds == pytest.approx(1.2)
-
-
 def test_the_report_prepares_a_stage_again_whose_health_is_checked() -> None:
     frames = plans(range(120), "gi")
     found = predict(
         frames,
         time_of_stages(frames),
-        replace(SIZE, checked=frozenset({"gi", "dof"})),
+        SIZE._replace(checked=frozenset({"gi", "dof"})),
         PRICES,
     )
     assert (
@@ -107,7 +95,7 @@ def test_one_thread_alone_is_faster_and_a_phase_without_price_makes_the_whole_un
 ):
     alone = of(plans(range(30)), prices=replace(PRICES, alone=0.6))
     assert alone.wall.seconds < of(plans(range(30))).wall.seconds - 0.2
-    assert of(plans(range(30)), replace(SIZE, codec="av1")).wall is None
+    assert of(plans(range(30)), SIZE._replace(codec="av1")).wall is None
 
 
 def test_what_planning_takes_is_in_the_prediction(monkeypatch) -> None:
@@ -117,7 +105,7 @@ def test_what_planning_takes_is_in_the_prediction(monkeypatch) -> None:
 
     clock = [7.0]
     monkeypatch.setattr(predict_module, "plan_clip", slow)
-    monkeypatch.setattr(predict_module.time, "perf_counter", lambda: clock[0])
+    monkeypatch.setattr("time.perf_counter", lambda: clock[0])
     made = choose(
         JobConfig(), {}, [], None, LevelPolicy(), Errors(), PRICES, SIZE, print
     )[1]  # type: ignore[arg-type]
@@ -127,7 +115,7 @@ def test_what_planning_takes_is_in_the_prediction(monkeypatch) -> None:
 
 
 def test_a_lone_worker_encodes_while_it_renders() -> None:
-    one = replace(SIZE, workers=1)
+    one = SIZE._replace(workers=1)
     slow_render, slow_encode = (
         of(plans(range(120)), one),
         of([], one),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from arfx.run.schedule import elapsed, lead_frames
+from arfx.run.schedule import elapsed
 
 
 def test_work_is_shared_as_far_as_chunks_allow() -> None:
@@ -21,12 +21,3 @@ def test_work_is_shared_as_far_as_chunks_allow() -> None:
 def test_one_that_is_alone_is_faster_than_among_others() -> None:
     assert elapsed([6, 2], 2, alone=0.5) == pytest.approx(2 + 4 * 0.5)
     assert elapsed([4], 1, alone=0.5) == pytest.approx(2.0)
-
-
-def test_a_worker_that_begins_in_the_middle_decodes_from_the_key_frame_before() -> (
-    None
-):
-    chunks = [(10 * k, 10 * k + 9) for k in range(4)]
-    assert lead_frames(chunks, 2, (0, 15)) == [0, 0, 5, 0]
-    assert lead_frames(chunks, 4, (0, 10)) == [0, 0, 10, 20]
-    assert lead_frames(chunks, 1, (0,)) == [0, 0, 0, 0]
