@@ -187,7 +187,7 @@ def _clear(
     """(n,) Was an edge found, of enough contrast, straight, and not some other one far away?"""
     away = np.abs(edges.quad - start).max((1, 2))
     near = away <= np.maximum(3.0, 1.5 * reach.max(1))
-    return near & (edges.gain > FAINT) & (edges.spread < half.max(1))
+    return near & (edges.gain.min(1) > FAINT) & (edges.spread < half.max(1))
 
 
 def _bend(quad: np.ndarray, camera: Camera | None) -> np.ndarray:
