@@ -268,14 +268,15 @@ def planar_poses(
     rotation = np.concatenate([rotation[ahead], facing[0]])
     translation = np.concatenate([translation[ahead], facing[1]])
     poses = _refined(rotation, translation, seen.take(owner))
-    # and rubbish for one turned about an axis of its own: the twin is looked for, the same
-    # but for depth, mirrored in its middle
-    best = _two_best(owner, poses, n)[:, 0]
-    known = np.flatnonzero(best >= 0)
-    rotation, translation, _ = (part[best[known]] for part in poses)
-    twins = _refined(_mirrored(rotation, translation), translation, seen.take(known))
+    # and rubbish for one turned about an axis of its own: the twins are looked for, the same
+    # but for depth, mirrored in their middles
+    rows = _two_best(owner, poses, n)
+    rows = rows[rows >= 0]
+    rotation, translation, _ = (part[rows] for part in poses)
+    seen = seen.take(owner[rows])
+    twins = _refined(_mirrored(rotation, translation), translation, seen)
     poses = [np.concatenate(parts) for parts in zip(poses, twins, strict=True)]
-    chosen = _two_best(np.concatenate([owner, known]), poses, n)
+    chosen = _two_best(np.concatenate([owner, owner[rows]]), poses, n)
     out = PlanarPoses(
         np.tile(np.eye(3), (n, 2, 1, 1)), np.zeros((n, 2, 3)), np.full((n, 2), np.inf)
     )
