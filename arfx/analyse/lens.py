@@ -15,14 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from arfx.analyse.job import Analysis, AnalysisFrame
 from arfx.analyse.markers.corners import LIGHT, cell_px, linear_table
-from arfx.analyse.markers.edges import FRACTIONS, THERE, moments, profiles
+from arfx.analyse.markers.edges import FRACTIONS, SAMPLES, find_edges
 from arfx.analyse.markers.search import ANY, Sighting
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.lens import LensFit
@@ -31,19 +30,17 @@ from arfx.core.marker_codes import cells_per_side
 from arfx.core.numerics import condition, divide, normalise
 from arfx.core.pose import Pose
 
-INNER = slice(3, -3)  # of the edge's samples: corners are blurred by two sides
-_STEP_PX, _LEAST_HALF_PX = 0.25, 2.0
+_LEAST_HALF_PX = 2.0
 _HALF_CELLS, _MOST_HALF_PX = (
     0.7,
     24.0,
 )  # what is looked at: the rim and the margin are a cell wide
-_WINDOWS = 2.5  # window by standard deviations of the blur
+_WINDOWS = 4.0  # to each side of an edge, by standard deviations of its blur
 _LARGEST = (
     0.22  # of the half width: a disc beyond it is measured too small, by 5 % there
 )
 _FAINT = 20.0  # light (of 255) across an edge
-_STRAY = 0.25  # share of the gradient's size that lies outside of the edge
-_ROUNDS = 10
+_ROUNDS = 3
 MOST_MOTION_PX = 3.0  # across a side from frame to frame
 _SIGMA_PX, _SIGMA_FRACTION = (
     0.06,
@@ -66,48 +63,14 @@ def side_blurs(
     luma : (h, w) uint8;  corners_px : (4, 2) clockwise in the picture;  table : (256,)
     coded luma to linear light, 0..255
     """
-    half = np.minimum(
-        _HALF_CELLS * cell_px(corners_px[None], np.array([cells]))[0], _MOST_HALF_PX
-    )
-    steps = 2 * int(half.max() / _STEP_PX) + 1
-    corners, straight = corners_px[None] @ [1, 1j], np.zeros((1, 4, 1))
-    fall, place = profiles(luma, table, corners, straight, half[None], steps)
-    inner = fall[0, :, INNER], place[0, :, INNER], half
-    return np.array([*map(_deviation, *inner)])
-
-
-def _deviation(slope: np.ndarray, place: np.ndarray, half: float) -> float:
-    """Standard deviation px of the common edge that light falls by `slope` (n, s) across, at
-    places (n, s) px; NaN where there is none.
-    """
-    if not half >= _LEAST_HALF_PX:
-        return np.nan
-    slope, where = slope * np.sign(slope.sum()), FRACTIONS[INNER]
-    near = slope * np.exp(-0.5 * (place / (half / 2)) ** 2)
-    mass = near.sum(1)
-    centre = divide((near * place).sum(1), mass)
-    # where nothing covers the edge, and it is straight or bent by the lens
-    there = (mass >= THERE * np.sort(mass)[3 * len(mass) // 4]) & (
-        np.abs(centre) < half / 2
-    )
-    if there.sum() < len(where) // 2:
-        return np.nan
-    shift = np.polyval(np.polyfit(where[there], centre[there], 2), where)
-    middle, aligned = place.mean(0), place - shift[:, None]
-    mean = np.mean(
-        [*map(partial(np.interp, middle), aligned[there], slope[there])], 0
-    )
-    s = half / 4
+    half = _HALF_CELLS * cell_px(corners_px[None], np.array([cells]))
+    half = far = np.clip(half, 1e-3, _MOST_HALF_PX)
+    straight = np.zeros((1, 4, SAMPLES, 2))
     for _ in range(_ROUNDS):
-        w = min(max(_WINDOWS * s, 1.0), half / 2)
-        second = moments(mean * np.exp(-0.5 * (middle / w) ** 2), middle)[0]
-        variance = divide(1.0, divide(1.0, second) - 1 / w**2, where_zero=half**2)
-        if not 0 < variance < half**2:
-            return np.nan
-        s = float(np.sqrt(variance))
-    stray = np.abs(mean[np.abs(middle) > 3 * s]).sum() / np.abs(mean).sum()
-    clear = s <= _LARGEST * half and mean.sum() > _FAINT and stray < _STRAY
-    return s if clear else np.nan
+        edges = find_edges(luma, table, corners_px[None], straight, (far, far))
+        far = np.clip(_WINDOWS * edges.blurs, _LEAST_HALF_PX, half)
+    clear = (edges.blurs <= _LARGEST * half) & (edges.gain > _FAINT)
+    return np.where(clear & (half >= _LEAST_HALF_PX), edges.blurs, np.nan)[0]
 
 
 class SideBlurs(NamedTuple):

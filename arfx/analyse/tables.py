@@ -8,22 +8,20 @@ from __future__ import annotations
 
 import hashlib
 import io
+import math
+from ast import literal_eval
 from collections.abc import Mapping, Sequence
 from dataclasses import is_dataclass
 from functools import cache
-from itertools import zip_longest
 from typing import Any, get_type_hints
 
 import numpy as np
 
 Columns = dict[str, np.ndarray]
 Tables = dict[str, Columns]
-_SHAPES = "/shapes"  # of arrays of one column that differ: the column is what they hold, flat
+_SHAPES = "/shapes"  # texts, of arrays of one column that differ: it is what they hold, flat
 _DIGEST_BYTES = 16
-_NONE, _UNUSED = (
-    -1,
-    -2,
-)  # in shapes: instead of an array nothing; there are fewer axes
+_NONE = ""  # in place of a shape: no array
 
 
 def by_columns(rows: Sequence[Any], kind: type) -> Columns:
@@ -37,15 +35,13 @@ def by_columns(rows: Sequence[Any], kind: type) -> Columns:
             inner = by_columns(values, hint)
             out |= {f"{name}.{k}": column for k, column in inner.items()}
             continue
-        shapes = [(_NONE,) if v is None else np.shape(v) for v in values]
-        if len({*shapes}) <= 1 and (_NONE,) not in shapes:
+        shapes = [_NONE if v is None else str(np.shape(v)) for v in values]
+        if len({*shapes}) <= 1 and _NONE not in shapes:
             out[name] = np.array(values)
             continue
         known = [np.ravel(v) for v in values if v is not None]
-        out[name] = np.concatenate(known) if known else np.zeros(0)
-        out[name + _SHAPES] = np.array(
-            [*zip(*zip_longest(*shapes, fillvalue=_UNUSED), strict=True)]
-        )
+        out[name] = np.concatenate(known or [np.zeros(0)])
+        out[name + _SHAPES] = np.array(shapes)
     return out
 
 
@@ -56,9 +52,9 @@ def rows_of(
     values = []
     for name, hint in _fields(kind):
         if _is_row(hint):
-            first = f"{name}."
+            outer = f"{name}."
             inner = {
-                k[len(first) :]: v for k, v in columns.items() if k.startswith(first)
+                k.removeprefix(outer): v for k, v in columns.items() if outer in k
             }
             values.append(rows_of(inner, hint))
         elif name + _SHAPES in columns:
@@ -109,12 +105,9 @@ def _is_row(hint: Any) -> bool:
 
 def _arrays(flat: np.ndarray, shapes: np.ndarray) -> list[np.ndarray | None]:
     out: list[np.ndarray | None] = []
-    for row in shapes:
-        shape = row[row != _UNUSED]
-        if row[0] == _NONE:
-            out.append(None)
-            continue
-        count = int(shape.prod())
-        out.append(flat[:count].reshape(shape))
+    for text in shapes.tolist():
+        shape = None if text == _NONE else literal_eval(text)
+        count = 0 if shape is None else math.prod(shape)
+        out.append(None if shape is None else flat[:count].reshape(shape))
         flat = flat[count:]
     return out

@@ -113,15 +113,8 @@ def refine_corners(
     half = np.clip(0.6 * cell, *HALF_PX)
     reach = np.clip(0.6 * cell, half, REACH_PX)
     bend = _bend(near, camera)
-    edges = find_edges(luma, table, near, bend, (half, half))
-    ok = _clear(near, edges, half, half)
-    far = ~ok & sensible & (reach > half).any(1)
-    if far.any():
-        here, least, most = near[far], half[far], reach[far]
-        again = find_edges(luma, table, here, bend[far], (most, least, least))
-        for every, those in zip(edges, again, strict=True):
-            every[far] = those
-        ok[far] = _clear(here, again, least, most)
+    edges = find_edges(luma, table, near, bend, (reach, half))
+    ok = _clear(near, edges, half, reach)
     # a corner is where two lines meet, each known at its end to about twice the error of its
     # mean
     sigma = np.maximum(2.0 * edges.spread / np.sqrt(SAMPLES), 0.01)
@@ -187,7 +180,7 @@ def _clear(
     """(n,) Was an edge found, of enough contrast, straight, and not some other one far away?"""
     away = np.abs(edges.quad - start).max((1, 2))
     near = away <= np.maximum(3.0, 1.5 * reach.max(1))
-    return near & (edges.gain > FAINT) & (edges.spread < half.max(1))
+    return near & (edges.gain.min(1) > FAINT) & (edges.spread < half.max(1))
 
 
 def _bend(quad: np.ndarray, camera: Camera | None) -> np.ndarray:

@@ -49,8 +49,8 @@ _REMAP_STEPS = 32  # OpenCV reads between pixels at so many places per px
 class Edges(NamedTuple):
     """Of n quads. quad : (n, 4, 2) px, the lines' corners; not finite where two are parallel
 
-    gain : (n,) light of 255 that falls across the faintest side;  spread : (n,) px along a
-    side, median of sides;  blur, skew, inverted : (n,) as of Corners
+    gain : (n, 4) light of 255 that falls across each side;  spread : (n,) px along a side,
+    median of sides;  blur, skew, inverted : (n,) as of Corners;  blurs : (n, 4) of each side
     """
 
     quad: np.ndarray
@@ -59,6 +59,7 @@ class Edges(NamedTuple):
     blur: np.ndarray
     skew: np.ndarray
     inverted: np.ndarray
+    blurs: np.ndarray
 
 
 def find_edges(
@@ -82,7 +83,7 @@ def find_edges(
             inverted = fall.sum((1, 2, 3)) < 0
             fall[inverted] *= -1
             mean = np.einsum("ijst,ijs->ijt", fall, there)
-            blur, skew = _shape(mean / there.sum(-1)[..., None], far)
+            blurs, blur, skew = _shape(mean / there.sum(-1)[..., None], far)
             fit = np.minimum(np.maximum(1.2 * blur[:, None], least), far / 2)
             ends = np.zeros((*far.shape, 2))
             # a window of width w over an edge of width b sees only w2 / (w2 + b2) of a
@@ -105,8 +106,12 @@ def find_edges(
                 ends, spread, weight = _lines(off, there, weight)
             corners = _meeting(corners, ends)
     quad = np.stack([corners.real, corners.imag], -1)
-    spread = np.sort(spread, -1)[:, 1:3].mean(-1)
-    return Edges(quad, clear.min(1), spread, blur, skew, inverted)
+    return Edges(quad, clear, _middle(spread), blur, skew, inverted, blurs)
+
+
+def _middle(sides: np.ndarray) -> np.ndarray:
+    """(n,) median of the values (n, 4) of four sides."""
+    return np.sort(sides, -1)[:, 1:3].mean(-1)
 
 
 def sampled(luma: np.ndarray, table: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -174,15 +179,20 @@ def _meeting(corners: np.ndarray, ends: np.ndarray) -> np.ndarray:
     return begin + d * ((before * gap).imag / (before * d).imag)
 
 
-def _shape(mean: np.ndarray, far: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Standard deviation px and skew (n,) of the mean profiles (n, 4, STEPS - 1) over the
-    sides; the narrowing by the window that it is seen through is taken out."""
+def _shape(
+    mean: np.ndarray, far: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Standard deviations px (n, 4) of the mean profiles (n, 4, STEPS - 1) of the sides, the
+    narrowing by the window that they are seen through taken out; their median, and skew (n,).
+    """
     place, most = far[..., None] * _MIDDLES, far**2
     second = moments(np.maximum(mean, 0) * np.exp(-2 * _MIDDLES**2), place)[0]
     variance = 1 / np.maximum(1 / second - 4 / most, 1 / most)
-    blur = np.sqrt(np.sort(np.maximum(variance, 0.04), -1)[:, 1:3].mean(-1))
+    variance = np.maximum(variance, 0.04)
+    blur = np.sqrt(_middle(variance))
     near = np.exp(-0.5 * (place / (1.5 * blur[:, None, None])) ** 2)
-    return blur, moments(mean * near, place)[1].mean(-1) / blur**3
+    skew = moments(mean * near, place)[1].mean(-1) / blur**3
+    return np.sqrt(variance), blur, skew
 
 
 def moments(profile: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

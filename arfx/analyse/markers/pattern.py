@@ -137,10 +137,10 @@ class PatternPicture:
         finest = sum(max(level.even.shape) >= side for level in self.levels)
         levels = self.levels[max(finest - 1, 0) :: _BLURRED]
         for level, factor in zip(levels, (1.0, _SHARED), strict=False):
-            match = _match(level, luma, camera, ideal_from_unit)
-            there = match and _aligned(self.name, match, camera)
-            if match and there and factor * there.sigma_px <= MOST_SIGMA_PX:
-                return there._replace(sigma_px=factor * there.sigma_px), match.share
+            found = _followed(level, luma, camera, ideal_from_unit)
+            there = found and _aligned(self.name, camera, found)
+            if found and there and factor * there.sigma_px <= MOST_SIGMA_PX:
+                return there._replace(sigma_px=factor * there.sigma_px), found.share
         return None
 
 
@@ -275,90 +275,85 @@ def _pixels(
     return camera.project(np.concatenate([ideal, np.ones_like(ideal[..., :1])], -1))
 
 
-class _Match(NamedTuple):
-    """Corners of the picture that were followed into the frame and back.
+class _Followed(NamedTuple):
+    """Corners of the picture in a frame.
 
-    cut : ideal_from_level where the frame was cut out;  own : level_from_unit, where the
-    corners have the print in the cut-out
-    units, moved : (n, 2) of the print, and px of the cut-out;  agree : (n,) on `own`
-    share : of the corners in view that agree"""
+    cut : ideal_from_level, where the frame was cut out;  ideal_from_unit : where they have
+    the print;  units, moved : (n, 2) of it, and px of the cut-out
+    agree : (n,) on that;  share : of the corners in view that agree"""
 
     cut: np.ndarray
-    own: np.ndarray
+    ideal_from_unit: np.ndarray
     units: np.ndarray
     moved: np.ndarray
     agree: np.ndarray
     share: float
 
 
-def _match(
-    level: Level,
-    luma: np.ndarray,
-    camera: Camera,
-    ideal_from_unit: np.ndarray,
-    reach: int = _REACH,
-) -> _Match | None:
-    """None where too few corners agree on a homography. reach : further halvings of the images,
-    at first"""
-    cut, (h, w) = ideal_from_unit @ level.unit_from_level, level.even.shape
-    quad, at = (
-        _pixels(camera, ideal_from_unit, _CORNERS),
-        _pixels(camera, cut, level.points),
-    )
-    there = (at > 2).all(1) & (at < np.subtract(luma.shape[::-1], 3)).all(1)
-    points = level.points[there]
-    needed = max(LEAST_POINTS, SHARE * len(points))
-    if not plausible(quad) or len(points) < needed:
-        return None
-    # the frame as the picture is seen; it may be finer than the finest level
-    fine = max(int(sides(quad).max() / max(w, h)), 1)
-    rows, columns = (length // fine for length in luma.shape)
-    part = luma
-    if fine > 1:
-        part = luma[: rows * fine, : columns * fine]
-        part = cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA)
+def _followed(
+    level: Level, luma: np.ndarray, camera: Camera, ideal_from_unit: np.ndarray
+) -> _Followed | None:
+    """None where too few corners agree on a homography."""
+    h, w = level.even.shape
     fisheye = camera.model == FISHEYE
     maps = (
         cv2.fisheye.initUndistortRectifyMap
         if fisheye
         else cv2.initUndistortRectifyMap
     )
-    own, lens, view = camera.matrix, camera.distortion, np.linalg.inv(cut)
-    places = maps(own, lens, view, np.eye(3), (w, h), cv2.CV_32FC1)
-    x, y = ((px + 0.5) / fine - 0.5 for px in places)
-    seen = cv2.remap(part, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    moved, away = follow(level.even, even_contrast(seen), points, reach)
-    good = away < _RETURN_PX
-    if good.sum() < needed:
-        return None
-    a, b = points[good].astype(float), moved[good].astype(float)
-    found, agree = cv2.findHomography(a, b, cv2.USAC_MAGSAC, _AGREE_PX, maxIters=2000)
-    if found is None or agree.sum() < needed:
-        return None
-    own = found @ np.linalg.inv(level.unit_from_level)
-    if reach:
-        return _match(level, luma, camera, cut @ own, 0)
+    for reach in (_REACH, 0):
+        cut = ideal_from_unit @ level.unit_from_level
+        quad, at = (
+            _pixels(camera, ideal_from_unit, _CORNERS),
+            _pixels(camera, cut, level.points),
+        )
+        there = (at > 2).all(1) & (at < np.subtract(luma.shape[::-1], 3)).all(1)
+        points = level.points[there]
+        needed = max(LEAST_POINTS, SHARE * len(points))
+        if not plausible(quad) or len(points) < needed:
+            return None
+        # the frame as the picture is seen; it may be finer than the finest level
+        fine = 2 * int(sides(quad).max() / max(w, h) / 2) + 1
+        lens, view = (camera.matrix, camera.distortion), np.linalg.inv(cut)
+        places = maps(*lens, view, np.eye(3), (w, h), cv2.CV_32FC1)
+        seen = cv2.remap(
+            cv2.blur(luma, (fine, fine)),
+            *places,
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        moved, away = follow(level.even, even_contrast(seen), points, reach)
+        good = away < _RETURN_PX
+        if good.sum() < needed:
+            return None
+        a, b = points[good].astype(float), moved[good].astype(float)
+        by, agree = cv2.findHomography(
+            a, b, cv2.USAC_MAGSAC, _AGREE_PX, maxIters=2000
+        )
+        if by is None or agree.sum() < needed:
+            return None
+        ideal_from_unit = cut @ by @ np.linalg.inv(level.unit_from_level)
     units, share = _mapped(level.unit_from_level, a), float(agree.sum() / len(points))
-    return _Match(cut, own, units, b, agree.ravel() > 0, share)
+    return _Followed(cut, ideal_from_unit, units, b, agree.ravel() > 0, share)
 
 
-def _aligned(name: str, match: _Match, camera: Camera) -> Detection | None:
+def _aligned(name: str, camera: Camera, found: _Followed) -> Detection | None:
     """By robust least squares; None for a quad that no print can show."""
     from scipy.optimize import approx_fprime, least_squares
 
-    units, moved = match.units[match.agree], match.moved[match.agree]
+    level_from_ideal = np.linalg.inv(found.cut)
 
-    def changed(own: np.ndarray, change: np.ndarray) -> np.ndarray:
+    def changed(change: np.ndarray) -> np.ndarray:
         """The print moved a little in its own plane, by eight numbers."""
-        return own @ (np.eye(3) + np.append(change, 0.0).reshape(3, 3))
+        moved = np.eye(3) + np.append(change, 0.0).reshape(3, 3)
+        return found.ideal_from_unit @ moved
 
     def missed_by(change: np.ndarray) -> np.ndarray:
-        return (_mapped(changed(match.own, change), units) - moved).ravel()
+        there = _mapped(level_from_ideal @ changed(change), found.units)
+        return (there - found.moved)[found.agree].ravel()
 
     def corners_by(change: np.ndarray) -> np.ndarray:
-        return _pixels(
-            camera, match.cut @ changed(match.own, change), _CORNERS
-        ).ravel()
+        return _pixels(camera, changed(change), _CORNERS).ravel()
 
     first = missed_by(np.zeros(8))
     if not np.isfinite(first).all():
@@ -372,8 +367,8 @@ def _aligned(name: str, match: _Match, camera: Camera) -> Detection | None:
         return None
     slope = approx_fprime(fit.x, corners_by, _STEP) @ np.linalg.pinv(fit.jac)
     sigma = _ALIKE * _deviation(fit.fun) * float(np.sqrt((slope**2).sum() / 8))
-    off = _pixels(camera, match.cut @ changed(match.own, fit.x), match.units)
-    off -= _pixels(camera, match.cut, match.moved)
+    off = _pixels(camera, changed(fit.x), found.units)
+    off -= _pixels(camera, found.cut, found.moved)
     misfit = float(np.sqrt((off**2).sum(1).mean()))
     return Detection(name, corners, sigma, np.nan, False, misfit_px=misfit)
 

@@ -9,16 +9,25 @@ import numpy as np
 _NOISE = 3.0  # grey levels of contrast that are noise
 
 
-def even_contrast(image: np.ndarray, window_px: int = 25) -> np.ndarray:
-    """(h, w) uint8 about 128: contrast against the neighbourhood, over how much of it there is.
+def local_contrast(
+    image: np.ndarray, window_px: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """(h, w) float32 difference to the mean of the neighbourhood, and the standard deviation
+    of image (h, w) uint8 in it.
 
-    image : (h, w) uint8;  window_px : side of the neighbourhood"""
+    window_px : side of the neighbourhood"""
     value, window = image.astype(np.float32), (window_px, window_px)
     mean = cv2.blur(value, window)
-    spread = np.sqrt(
-        np.maximum(cv2.blur(value * value, window) - mean * mean, 0) + _NOISE**2
-    )
-    return np.clip(128 + 45 * (value - mean) / spread + 0.5, 0, 255).astype(np.uint8)
+    variance = cv2.blur(value * value, window) - mean * mean
+    return value - mean, np.sqrt(np.maximum(variance, 0))
+
+
+def even_contrast(image: np.ndarray, window_px: int = 25) -> np.ndarray:
+    """(h, w) uint8 about 128: contrast against the neighbourhood, over how much of it there is.
+    Arguments as of local_contrast."""
+    off, spread = local_contrast(image, window_px)
+    even = 128.5 + 45 * off / np.hypot(spread, _NOISE)
+    return np.clip(even, 0, 255).astype(np.uint8)
 
 
 def follow(

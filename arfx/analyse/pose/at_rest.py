@@ -19,6 +19,7 @@ import numpy as np
 from arfx.analyse.even_frames import EvenFrames
 from arfx.analyse.job import AnalysisFrame
 from arfx.analyse.markers.search import Sighting
+from arfx.analyse.markers.texture import even_contrast, local_contrast
 from arfx.analyse.markers.texture import follow as follow_points
 from arfx.core.camera import Camera
 from arfx.core.numerics import divide
@@ -64,7 +65,7 @@ def snapshot(frame: AnalysisFrame, markers: Iterable[Rect] | None = None) -> Sna
     factor = max(1, width // WIDTH_PX)
     size = width // factor, height // factor
     small = cv2.resize(frame.luma, size, interpolation=cv2.INTER_AREA)
-    rough = markers is not None or _contrast(small)[1] > FLAT
+    rough = markers is not None or local_contrast(small, NEAR_PX)[1] > FLAT
     corners = np.full(small.shape, rough, np.uint8)
     for r in markers or ():
         r = r.pad(max(r.width, r.height) // 3)
@@ -78,7 +79,8 @@ def follow(first: Snapshot, second: Snapshot) -> tuple[np.ndarray, np.ndarray]:
     where they are lost.
     """
     places = [np.zeros((0, 2, 2))]
-    for before, now in zip(_views(first.luma), _views(second.luma), strict=True):
+    evened = (even_contrast(picture.luma, NEAR_PX) for picture in (first, second))
+    for before, now in ((first.luma, second.luma), evened):
         points = cv2.goodFeaturesToTrack(before, POINTS, 0.02, 8, mask=first.corners)
         if points is None or len(points) < _MIN_POINTS:
             continue
@@ -87,23 +89,6 @@ def follow(first: Snapshot, second: Snapshot) -> tuple[np.ndarray, np.ndarray]:
         places.append(np.concatenate([points, there], 1))
     here, there = (np.concatenate(places).swapaxes(0, 1) + 0.5) * first.pixel_px - 0.5
     return here, there
-
-
-def _views(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The picture, and its contrast against the neighbourhood (h, w) uint8: a change of
-    light or exposure leaves that nearly as it was.
-    """
-    off, size = _contrast(image)
-    return image, np.clip(128 + 48 * off / (size + FLAT), 0, 255).astype(np.uint8)
-
-
-def _contrast(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(h, w) float32 difference to the mean of the neighbourhood; root mean square of that
-    in it.
-    """
-    value, window = image.astype(np.float32), (NEAR_PX, NEAR_PX)
-    off = value - cv2.blur(value, window)
-    return off, np.sqrt(np.maximum(cv2.blur(off * off, window), 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,17 +124,14 @@ class BackgroundFlow:
         if not first and before is None:
             return
         now = snapshot(frame, [Rect.around(s.print.corners_px) for s in shown])
-        if first:
-            self._before = now
+        self._before = now if first else None
         if before is not None:
-            here, there = follow(before, now)
-            found = np.isfinite(there).all(1)
-            if found.sum() >= _MIN_POINTS:
-                places = here[found].round(3), there[found].round(3)
+            places = np.stack(follow(before, now))
+            here, there = places[:, np.isfinite(places).all((0, 2))].round(3)
+            if len(here) >= _MIN_POINTS:
                 later = now.frame - before.frame
-                self.background.append(
-                    FlowSample(before.frame, later, now.pixel_px, *places)
-                )
+                row = FlowSample(before.frame, later, now.pixel_px, here, there)
+                self.background.append(row)
 
 
 def decide_static(

@@ -172,8 +172,9 @@ def camera_poses(
 def _adjust(
     prints: Prints, n: int, start: Mapping[str, Pose], unmapped: tuple[str, ...]
 ) -> MarkerMap:
-    """Gauss-Newton. What a frame's own pose explains of its corners is projected out (QR);
-    the rest is for the map. prints : in n frames;  start : of the markers, in their order"""
+    """Gauss-Newton over the map alone: every frame has the pose that fits best, and what this
+    explains of its corners is projected out (QR). prints : in n frames;  start : of the
+    markers, in their order"""
     from scipy.linalg import block_diag
 
     keys, layout = list(start), list(start.values())
@@ -189,38 +190,31 @@ def _adjust(
     one = seen.take(frame)
     misfit, _ = huber_cost(residuals(rotation, translation, one), one.weight)
     first = best_of_each(frame, misfit)
-    rotation, translation, _ = refine_poses(rotation[first], translation[first], seen)
+    rotation, translation = rotation[first], translation[first]
     map_r, map_t = arrays(layout)
     cost = np.inf
     for _ in range(30):
         world = (local @ np.swapaxes(map_r, 1, 2) + map_t[:, None]).reshape(1, -1, 3)
         seen = seen._replace(points_m=np.broadcast_to(world, seen.points_m.shape))
+        rotation, translation, misfit = refine_poses(rotation, translation, seen)
         r = residuals(rotation, translation, seen)
-        rho, factor = huber_cost(r, seen.weight)
-        before, cost = cost, float(rho.sum())
-        if abs(before - cost) < 1e-10 * (1 + cost):
+        before, cost = cost, float(misfit.sum())
+        if before - cost < 1e-10 * (1 + cost):
             break
-        root = np.sqrt(seen.weight * factor)[..., None]
+        root = np.sqrt(seen.weight * huber_cost(r, seen.weight)[1])[..., None]
         frame_j = jacobian(rotation, translation, seen)
         # px per left perturbation, in world axes, of the marker that carries the corner
         map_j = frame_j[..., 3:] @ rotation[:, None] @ lever(world)
-        own, upper = np.linalg.qr((frame_j * root[..., None]).reshape(n, -1, 6))
+        own, _ = np.linalg.qr((frame_j * root[..., None]).reshape(n, -1, 6))
         of_map = (map_j * root[..., None]).reshape(n, m, 8, 6)
-        own, missed = own.reshape(n, m, 8, 6), (r * root).reshape(n, m, 8)
-        shared = np.einsum("nmai,nmaj->nimj", own, of_map).reshape(6 * n, 6 * m)
-        explained = np.einsum("nmai,nma->ni", own, missed).ravel()
+        shared = np.einsum("nmai,nmaj->nimj", own.reshape(of_map.shape), of_map)
+        shared = shared.reshape(6 * n, 6 * m)
         own_blocks = np.einsum("nmai,nmaj->mij", of_map, of_map)
         normal = block_diag(*own_blocks) - shared.T @ shared
-        right = (
-            np.einsum("nmai,nma->mi", of_map, missed).ravel() - shared.T @ explained
-        )
+        right = np.einsum("nmai,nma->mi", of_map, (r * root).reshape(n, m, 8))
         reduced = normal[6:, 6:]  # the first marker is the world: it stays
-        step = np.append(np.zeros(6), -np.linalg.solve(reduced, right[6:]))
-        frame_step = -np.linalg.solve(
-            upper, (explained + shared @ step).reshape(n, 6, 1)
-        )
+        step = np.append(np.zeros(6), -np.linalg.solve(reduced, right.ravel()[6:]))
         map_r, map_t = apply_step(map_r, map_t, step.reshape(m, 6))
-        rotation, translation = apply_step(rotation, translation, frame_step[..., 0])
     rms = float(np.sqrt(np.mean(rms_px(r, seen.weight) ** 2)))
     # a centre moves by rotation x centre + translation of the left perturbation
     moved = lever(map_t[1:])

@@ -204,12 +204,11 @@ def both_poses(corners_m: np.ndarray, ideal: np.ndarray) -> np.ndarray:
     return np.stack(solved[1:3], 1).reshape(-1, 2, 3)
 
 
-def _frontal_poses(
+def _facing_poses(
     corners_m: np.ndarray, ideal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (2 n, 3, 3) and translation (2 n, 3) of markers that face the camera, and then
-    of ones that are parallel to the picture, at the place, distance and roll of their
-    pictures.
+    """Rotation (n, 3, 3) and translation (n, 3) of markers that face the camera, at the
+    place, distance and roll of their pictures.
 
     corners_m : (n, 4, 3);  ideal : (n, 4, 2)
     """
@@ -217,18 +216,12 @@ def _frontal_poses(
         np.linalg.norm(q - np.roll(q, -1, 1), axis=2).mean(1)
         for q in (corners_m, ideal)
     )
-    ray = np.concatenate([ideal.mean(1), np.ones((len(ideal), 1))], 1)
-    across = (ideal[:, 1] - ideal[:, 0] + ideal[:, 2] - ideal[:, 3]) / 2
-    out_of_print = -np.stack(
-        [normalise(ray), np.broadcast_to([0.0, 0.0, 1.0], ray.shape)]
-    )
-    right = np.pad(across, ((0, 0), (0, 1)))
-    right = normalise(
-        right - out_of_print * (out_of_print * right).sum(-1, keepdims=True)
-    )
-    rotation = np.stack([right, np.cross(out_of_print, right), out_of_print], -1)
-    place = ray * divide(side, extent, where_zero=1.0)[:, None]
-    return rotation.reshape(-1, 3, 3), np.tile(place, (2, 1))
+    ray = np.pad(ideal.mean(1), ((0, 0), (0, 1)), constant_values=1.0)
+    across = ideal[:, 1] - ideal[:, 0] + ideal[:, 2] - ideal[:, 3]
+    right, out = np.pad(across, ((0, 0), (0, 1))), -normalise(ray)
+    right = normalise(right - out * (out * right).sum(1, keepdims=True))
+    rotation = np.stack([right, np.cross(out, right), out], -1)
+    return rotation, ray * divide(side, extent, where_zero=1.0)[:, None]
 
 
 def _in_sight(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
@@ -269,21 +262,21 @@ def planar_poses(
     )
     rotation = rotation_from_rotvec(rotvec)
     ahead = _in_sight(rotation, translation)
-    # IPPE returns rubbish for a marker that faces the camera, or is parallel to the
-    # picture, exactly: starts of their own
-    frontal = _frontal_poses(seen.points_m, ideal)
-    owner = np.concatenate([owner[ahead], np.arange(n), np.arange(n)])
-    rotation = np.concatenate([rotation[ahead], frontal[0]])
-    translation = np.concatenate([translation[ahead], frontal[1]])
+    # IPPE returns rubbish for a marker that faces the camera exactly: a start of its own
+    facing = _facing_poses(seen.points_m, ideal)
+    owner = np.concatenate([owner[ahead], np.arange(n)])
+    rotation = np.concatenate([rotation[ahead], facing[0]])
+    translation = np.concatenate([translation[ahead], facing[1]])
     poses = _refined(rotation, translation, seen.take(owner))
-    chosen = _two_best(owner, poses, n)
-    # and rubbish for one turned about an axis of its own: where one pose alone is found, its
-    # twin is looked for, the same but for depth, mirrored in its middle
-    alone = np.flatnonzero((chosen[:, 0] >= 0) & (chosen[:, 1] < 0))
-    rotation, translation, _ = (part[chosen[alone, 0]] for part in poses)
-    twins = _refined(_mirrored(rotation, translation), translation, seen.take(alone))
+    # and rubbish for one turned about an axis of its own: the twins are looked for, the same
+    # but for depth, mirrored in their middles
+    rows = _two_best(owner, poses, n)
+    rows = rows[rows >= 0]
+    rotation, translation, _ = (part[rows] for part in poses)
+    seen = seen.take(owner[rows])
+    twins = _refined(_mirrored(rotation, translation), translation, seen)
     poses = [np.concatenate(parts) for parts in zip(poses, twins, strict=True)]
-    chosen = _two_best(np.concatenate([owner, alone]), poses, n)
+    chosen = _two_best(np.concatenate([owner, owner[rows]]), poses, n)
     out = PlanarPoses(
         np.tile(np.eye(3), (n, 2, 1, 1)), np.zeros((n, 2, 3)), np.full((n, 2), np.inf)
     )

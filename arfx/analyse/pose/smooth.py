@@ -136,19 +136,17 @@ def _density_of_shot(chain: Chain) -> np.ndarray:
     def total(trial: np.ndarray) -> float:
         return sum(smooth_chain(b, trial[GROUP]).evidence for b in blocks)
 
-    _, shot = _ascend(
-        total, np.array([1e-3, 1e-3, 1e-3, 1e-3, LEAST]), range(SHAKE), 10
-    )
-    moving, shot = _ascend(total, shot, range(SHAKE), 10)
+    start = np.array([1e-3, 1e-3, 1e-3, 1e-3, LEAST])
+    moving, shot = _ascend(total, start, 2 * [*range(SHAKE)], 10)
     # what was sideways motion is now the shake: from the one peak no single number leads to
     # the other
     start = shot.copy()
     start[SHAKE], start[SIDEWAYS], start[TURN] = shot[SIDEWAYS], LEAST, LEAST
-    _, other = _ascend(total, start, (SIDEWAYS, TURN, DISTANCE), 10)
-    shaking, other = _ascend(total, other, (SHAKE, ROLL, SIDEWAYS, TURN), 10)
-    order: tuple[int, ...] = TURN, ROLL, SIDEWAYS, DISTANCE
+    order = [SIDEWAYS, TURN, DISTANCE, SHAKE, ROLL, SIDEWAYS, TURN]
+    shaking, other = _ascend(total, start, order, 10)
+    order = [TURN, ROLL, SIDEWAYS, DISTANCE]
     if shaking > moving + _EARNED:
-        shot, order = other, (SHAKE, ROLL, DISTANCE, SIDEWAYS, TURN)
+        shot, order = other, [SHAKE, ROLL, DISTANCE, SIDEWAYS, TURN]
     return _ascend(total, shot, 2 * order, 10**0.5)[1]
 
 
