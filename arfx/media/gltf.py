@@ -1,18 +1,25 @@
 """A glTF file before anything is made of it: its JSON, what of it is left out, its numbers and
-bytes: buffers, views of them, accessors (glTF 2.0 section 3.6)."""
+bytes: buffers, views of them, accessors (glTF 2.0 section 3.6).
+
+Materials of a glTF file (glTF 2.0 section 3.9 and KHR_materials_*) as core.model.Material.
+
+Unlit materials become emission, specular-glossiness becomes metallic-roughness."""
 
 from __future__ import annotations
 
 import base64
 import struct
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from arfx.core.colour import SRGB
+from arfx.core.model import CLAMP, MIRROR, OPAQUE, REPEAT, Material, Texture
 from arfx.core.opener import parse_json
 from arfx.errors import InputError
 from arfx.media.model_files import DAMAGED, MAX_FACES, TABLES, ModelFile
-from arfx.media.model_parts import shares
+from arfx.media.model_parts import checked, resized, shares
 
 _CONVERT = "npx @gltf-transform/cli"
 _SHAPES = {
@@ -32,6 +39,11 @@ _KINDS = {
     5125: "<u4",
     5126: "<f4",
 }
+_WRAPS = {33071: CLAMP, 33648: MIRROR}
+_NEAREST = 9728
+_ROWS = 256  # of a picture, worked on at a time
+_DIELECTRIC = 0.04  # reflected by what is no metal
+_TINTS = ("specularTexture", "specularColorTexture", "specularColorFactor")
 
 
 class Gltf:
@@ -137,3 +149,172 @@ def _check(header: dict[str, Any], file: ModelFile) -> None:
     if at_rest:
         what = " and ".join(at_rest)
         file.notices.append(f"{what} left out: it is shown as it stands at rest")
+
+
+def gltf_material(gltf: Gltf, number: int, coloured: bool) -> Material:
+    """coloured : the mesh has colours by vertex
+
+    Raises InputError: a texture is too large or damaged, a number out of range."""
+    given, notices = gltf.header["materials"][number], gltf.file.notices
+    extensions = given.get("extensions", {})
+    fields: dict[str, Any] = {
+        name: _texture(gltf, _stated(given, path))
+        for name, path in TABLES["textures"].items()
+    }
+    for name, (path, default) in TABLES["factors"].items():
+        value, several = _stated(given, path, default), isinstance(default, list)
+        fields[name] = tuple(map(float, value)) if several else float(value)
+    if (glossy := extensions.get("KHR_materials_pbrSpecularGlossiness")) is not None:
+        fields |= _glossy(gltf, glossy)
+    strength = _stated(
+        extensions, "KHR_materials_emissive_strength/emissiveStrength", 1
+    )
+    fields["emissive"] = tuple(float(strength) * v for v in fields["emissive"])
+    if not any(fields["emissive"]):
+        fields["emissive_texture"] = None
+    if fields["clearcoat_normal_texture"] is not None:
+        notices.append("left out bumps of clear coat: it lies evenly")
+    specular = extensions.get("KHR_materials_specular", {})
+    if not specular.keys().isdisjoint(_TINTS):
+        notices.append("left out textures and tints of KHR_materials_specular")
+    ior = float(_stated(extensions, "KHR_materials_ior/ior", 1.5))
+    f0 = ((ior - 1.0) / (ior + 1.0)) ** 2 if ior > 0 else _DIELECTRIC
+    fields["specular"] = float(specular.get("specularFactor", 1)) * f0 / 0.08
+    name = f"{given.get('name', 'material')} {number}"
+    if "KHR_materials_unlit" in extensions:
+        if coloured:  # they are no part of emission
+            text = f"material {name} is unlit with colours by vertex: it is shown lit"
+            notices.append(text)
+        else:
+            fields = _emission(fields)
+    return checked(
+        Material(
+            name,
+            alpha_mode=str(given.get("alphaMode", OPAQUE)),
+            double_sided=bool(given.get("doubleSided", False)),
+            **fields,
+        )
+    )
+
+
+def _emission(fields: dict[str, Any]) -> dict[str, Any]:
+    """Of an unlit material: its colour as emission, on a surface that sends nothing back."""
+    *colour, alpha = fields["base_colour"]
+    return {
+        "base_colour": (0.0, 0.0, 0.0, alpha),
+        "base_texture": fields["base_texture"],
+        "roughness": 1.0,
+        "emissive": tuple(colour),
+        "emissive_texture": fields["base_texture"],
+        "specular": 0.0,
+        "alpha_cutoff": fields["alpha_cutoff"],
+    }
+
+
+def _glossy(gltf: Gltf, given: dict[str, Any]) -> dict[str, Any]:
+    """Metallic-roughness of specular-glossiness, texel by texel where it has textures."""
+    shine = [
+        *given.get("specularFactor", [1.0] * 3),
+        given.get("glossinessFactor", 1.0),
+    ]
+    factors = given.get("diffuseFactor", [1.0] * 4), shine
+    keys = "diffuseTexture", "specularGlossinessTexture"
+    matt, shiny = textures = [_texture(gltf, given.get(key)) for key in keys]
+    laid, rough_laid = matt or shiny, shiny or matt
+    if laid is None or rough_laid is None:
+        base, rough = _metallic(*(np.array(f, np.float32) for f in factors))
+        return {
+            "base_colour": tuple(base.tolist()),
+            "roughness": float(rough[0]),
+            "metallic": float(rough[1]),
+        }
+    size = max(t.picture.shape[1::-1] for t in (laid, rough_laid))
+    white = np.full((1, 1, 4), 255, np.uint8)
+    pictures = [resized(white if t is None else t.picture, *size) for t in textures]
+    base, rough = np.full((2, *pictures[0].shape), 255, np.uint8)
+    for a in range(0, len(base), _ROWS):
+        rows = slice(a, a + _ROWS)
+        linear = []
+        for picture, factor in zip(pictures, factors, strict=True):
+            part = picture[rows] / np.float32(255)
+            part[..., :3] = SRGB.decode(part[..., :3])
+            linear.append(part * np.array(factor, np.float32))
+        colour, matte = _metallic(*linear)
+        colour[..., :3] = SRGB.encode(colour[..., :3])
+        base[rows] = np.round(colour * 255)
+        rough[rows, :, 1:3] = np.round(matte * 255)
+    return {
+        "base_colour": (1.0, 1.0, 1.0, 1.0),
+        "base_texture": replace(laid, picture=base),
+        "metallic": 1.0,
+        "roughness": 1.0,
+        "metallic_roughness_texture": replace(rough_laid, picture=rough),
+    }
+
+
+def _texture(gltf: Gltf, slot: dict[str, Any] | None) -> Texture | None:
+    if slot is None:
+        return None
+    change = _stated(slot, "extensions/KHR_texture_transform", {})
+    texture = gltf.header["textures"][slot["index"]]
+    source = _stated(texture, "extensions/EXT_texture_webp", texture).get("source")
+    if source is None:
+        return None
+    image = gltf.header["images"][source]
+    picture = gltf.file.picture(source, lambda: gltf.content(image))
+    uv_set = change.get("texCoord", slot.get("texCoord", 0))
+    if picture is None:
+        return None
+    if uv_set not in (0, 1):
+        what = "left out a texture laid by a third set of coordinates"
+        gltf.file.notices.append(what)
+        return None
+    sampler: dict[str, Any] = {}
+    if "sampler" in texture:
+        sampler = gltf.header["samplers"][texture["sampler"]]
+    across, down = (_WRAPS.get(sampler.get(k, 0), REPEAT) for k in ("wrapS", "wrapT"))
+    nearest = sampler.get("magFilter") == _NEAREST
+    return Texture(picture, uv_set, _picture_from_uv(change), (across, down), nearest)
+
+
+def _stated(tree: dict[str, Any], path: str, default: Any = None) -> Any:
+    *way, last = path.split("/")
+    for key in way:
+        tree = tree.get(key, {})
+    return tree.get(last, default)
+
+
+def _picture_from_uv(change: dict[str, Any]) -> np.ndarray:
+    """(2, 3) of a KHR_texture_transform."""
+    angle = float(change.get("rotation", 0))
+    c, s = np.cos(angle), np.sin(angle)
+    wide, high = change.get("scale", (1, 1))
+    x, y = change.get("offset", (0, 0))
+    return np.array([[wide * c, high * s, x], [-wide * s, high * c, y]], float)
+
+
+def _metallic(
+    diffuse: np.ndarray, shine: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Base colour and alpha (..., 4); roughness and metallic (..., 2).
+
+    diffuse : (..., 4) colour and alpha;  shine : (..., 4) specular colour and glossiness
+    Source: Khronos' convert-between-workflows; brightness: root of the weighted squares (HSP).
+    """
+    colour, specular = diffuse[..., :3], shine[..., :3]
+    d, s = _brightness(colour), _brightness(specular)
+    rest = (1.0 - specular.max(-1)) / (1.0 - _DIELECTRIC)
+    b = d * rest + s - 2 * _DIELECTRIC
+    square = b * b - 4 * _DIELECTRIC * (_DIELECTRIC - s)
+    share = (np.sqrt(np.maximum(square, 0.0)) - b) / (2 * _DIELECTRIC)
+    metal = np.where(s < _DIELECTRIC, 0.0, np.clip(share, 0.0, 1.0))
+    m = metal[..., None]
+    matt = colour * rest[..., None] / np.maximum(1.0 - m, 1e-6)
+    shiny = (specular - _DIELECTRIC * (1.0 - m)) / np.maximum(m, 1e-6)
+    base = np.clip(matt + (shiny - matt) * m * m, 0.0, 1.0)
+    rough = np.stack([1.0 - shine[..., 3], metal], -1)
+    return np.concatenate([base, diffuse[..., 3:]], -1), rough
+
+
+def _brightness(colour: np.ndarray) -> np.ndarray:
+    return np.asarray(np.sqrt(colour**2 @ np.array([0.299, 0.587, 0.114])))

@@ -13,8 +13,7 @@ from arfx.core.model import Material
 from arfx.core.numerics import normalise
 from arfx.core.pose import rotation_from_quaternion
 from arfx.errors import InputError
-from arfx.media.gltf import Gltf
-from arfx.media.gltf_materials import gltf_material
+from arfx.media.gltf import Gltf, gltf_material
 from arfx.media.model_files import NO_TRIANGLES, ModelFile
 from arfx.media.model_parts import Placed, Rows, plain_material, unit_colours
 
