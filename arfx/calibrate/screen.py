@@ -55,8 +55,12 @@ def drop_copies(views: Sequence[View]) -> tuple[list[View], list[Rejected]]:
         nearest = min(moved, default=np.inf)
         if nearest < SAME_VIEW_FRACTION * view.size[0]:
             twin = kept[moved.index(nearest)].name
-            reason = f"the same view as {twin}: its corners moved {nearest:.2f} px"
-            dropped.append(Rejected(view.name, reason))
+            dropped.append(
+                Rejected(
+                    view.name,
+                    f"the same view as {twin}: its corners moved {nearest:.2f} px",
+                )
+            )
         else:
             kept.append(view)
     return sorted(kept, key=list(views).index), dropped
@@ -155,8 +159,12 @@ def picture_sharpness(gray: np.ndarray) -> float:
     between frames of one clip.
     """
     share = 1 / max(1, round(gray.shape[1] / 640))
-    small = cv2.resize(gray, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
-    return float(cv2.Laplacian(small, cv2.CV_32F).var())
+    return float(
+        cv2.Laplacian(
+            cv2.resize(gray, None, fx=share, fy=share, interpolation=cv2.INTER_AREA),
+            cv2.CV_32F,
+        ).var()
+    )
 
 
 def sharpest_of_each(

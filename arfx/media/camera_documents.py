@@ -173,8 +173,10 @@ def _colmap(rows: list[list[Any]]) -> dict[str, Any]:
         names = TABLES["colmap"].get(model, "")
         values = numbers(given, f"camera {camera}")
         if names and len(values) != len(names.split()):
-            what = f"{model} has {len(values)} parameters"
-            raise CameraFileError(what, f"{len(names.split())}: {names}")
+            raise CameraFileError(
+                f"{model} has {len(values)} parameters",
+                f"{len(names.split())}: {names}",
+            )
         focals = 1 if names.startswith("f ") else 2
         centre = values[focals : focals + 2] - _COLMAP_CENTRE_PX
         cameras[camera] = {
@@ -215,8 +217,10 @@ def _xml(text: str) -> Mapping[str, Any]:
         raise ValueError("a DOCTYPE is not read")
     root = ElementTree.fromstring(text)
     if root.tag != "opencv_storage":
-        what = f"it is XML of another program (<{root.tag[:40]}>)"
-        raise CameraFileError(what, f"export it for OpenCV; supported: {SUPPORTED}")
+        raise CameraFileError(
+            f"it is XML of another program (<{root.tag[:40]}>)",
+            f"export it for OpenCV; supported: {SUPPORTED}",
+        )
     out: dict[str, Any] = {}
     for node in root:
         words = (node.findtext("data") or node.text or "").split()

@@ -274,8 +274,9 @@ def _info(
                 f"the stream {says}: {matrix} is used ({first.height} lines)"
             )
     range_tag = int(first.color_range) or int(ctx.color_range)
-    whole = {"yuv": (2,), "gray": (0, 2), "rgb": (0, 1, 2)}[layout.kind]
-    full = range_tag in whole or first.format.name.startswith("yuvj")
+    full = range_tag in {"yuv": (2,), "gray": (0, 2), "rgb": (0, 1, 2)}[
+        layout.kind
+    ] or first.format.name.startswith("yuvj")
     turn = _display_matrix(first, beside)
     orientation, exact = orientation_of(turn)
     if not exact:

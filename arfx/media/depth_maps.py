@@ -66,8 +66,10 @@ class _Video(threading.local):
         if frame is None or frame.pts != self.pts[number]:
             what = f"map {number} cannot be decoded where it was listed"
             raise InputError(f"depth {self.info.path}: {what}", "the file is damaged")
-        samples = planes_of(frame.picture, frame.format.layout)[0]
-        self.number, self.stored = number, samples[:, : frame.format.width]
+        self.number, self.stored = (
+            number,
+            planes_of(frame.picture, frame.format.layout)[0][:, : frame.format.width],
+        )
         return self.stored
 
 
@@ -75,21 +77,26 @@ def _open_video(path: Path) -> tuple[_Video, tuple[float, ...]]:
     """And the times of its frames after the first. Raises InputError: it holds no depth."""
     info = probe(path)
     if not re.fullmatch(r"gray1\d[lb]e", info.pixel_format):
-        what = f"depth {path} holds {info.pixel_format} pictures, not depth"
-        raise InputError(what, "grey of 16 bits: FFV1 gray16 in .mkv")
+        raise InputError(
+            f"depth {path} holds {info.pixel_format} pictures, not depth",
+            "grey of 16 bits: FFV1 gray16 in .mkv",
+        )
     with ClipReader(info, threads=1) as reader:
         times = reader.times()
         pts = [frame.pts for frame in reader.frames()] if times is None else times.pts
-    seconds = tuple(float((t - pts[0]) * info.time_base) for t in pts)
-    return _Video(info, list(pts)), seconds
+    return _Video(info, list(pts)), tuple(
+        float((t - pts[0]) * info.time_base) for t in pts
+    )
 
 
 def _page(path: Path, number: int) -> np.ndarray:
     """(h, w[, channels]) of a TIFF as stored. Raises InputError where it cannot be read."""
     done, pages = cv2.imreadmulti(str(path), number, 1, flags=cv2.IMREAD_UNCHANGED)
     if not done or len(pages) != 1:
-        what = f"depth {path}: page {number} cannot be read"
-        raise InputError(what, "TIFF with 16-bit or float pages")
+        raise InputError(
+            f"depth {path}: page {number} cannot be read",
+            "TIFF with 16-bit or float pages",
+        )
     return np.asarray(pages[0])
 
 
@@ -128,8 +135,11 @@ class DepthMaps:
         if self.still:
             return [0] * len(times_s)
         if self.times_s is not None:
-            taken_s = np.array(self.times_s) + self.start_s
-            found = match_by_time(taken_s, times_s, _REACH * spacing_s(self.times_s))
+            found = match_by_time(
+                np.array(self.times_s) + self.start_s,
+                times_s,
+                _REACH * spacing_s(self.times_s),
+            )
             return [None if m is None else m.nearest for m in found]
         what = f"depth {self.path} holds {self.count} maps"
         hint = (
@@ -146,8 +156,10 @@ class DepthMaps:
         h, w = stored.shape
         if abs(w * height / (h * width) - 1) > _ASPECT:
             shapes = f"is {w}x{h}, the clip {width}x{height}: another shape"
-            hint = "maps as the clip is shown, of its size or the same aspect ratio"
-            raise InputError(f"depth map {self.name(number)} {shapes}", hint)
+            raise InputError(
+                f"depth map {self.name(number)} {shapes}",
+                "maps as the clip is shown, of its size or the same aspect ratio",
+            )
         steps = self.steps_per_m or (
             _STEPS_A_METRE if stored.dtype.kind == "u" else 1.0
         )
@@ -199,8 +211,9 @@ def open_depth(
             if count < 1:
                 hint = "16-bit or float pages"
                 raise InputError(f"depth {path} cannot be read as a TIFF", hint)
-            page = partial(_page, path)
-            return DepthMaps(path, (path,), count, steps_per_m, start_s, None, page)
+            return DepthMaps(
+                path, (path,), count, steps_per_m, start_s, None, partial(_page, path)
+            )
         if suffix in VIDEO:
             read, times_s = _open_video(path)
             count = len(times_s)
@@ -274,8 +287,12 @@ def fill_holes(depth_m: np.ndarray, guide: np.ndarray) -> np.ndarray:
     of_label = np.zeros(int(label.max()) + 1, np.float32)
     of_label[label[known]] = dioptre[known]  # of the nearest known pixel
     least, most = dioptre[known].min(), dioptre[known].max()
-    spread = np.clip(divide(value, total), least, most)
-    taken = divide(1.0, np.where(total > _FAINT, spread, of_label[label])).astype(
-        np.float32
-    )
+    taken = divide(
+        1.0,
+        np.where(
+            total > _FAINT,
+            np.clip(divide(value, total), least, most),
+            of_label[label],
+        ),
+    ).astype(np.float32)
     return np.where(known, depth_m, taken)

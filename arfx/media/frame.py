@@ -80,9 +80,9 @@ class Frame:
         """
         f, small = self.format, min(1.0, width / self.rect.width)
         width, height = (max(round(side * small), 1) for side in (f.width, f.height))
-        coded = self._rgb24(width=width, height=height, interpolation="AREA")
         return np.take(
-            f.transfer.decode(np.arange(256) / 255).astype(np.float32), coded
+            f.transfer.decode(np.arange(256) / 255).astype(np.float32),
+            self._rgb24(width=width, height=height, interpolation="AREA"),
         )
 
     def _rgb24(self, **how: Any) -> np.ndarray:
@@ -104,8 +104,9 @@ class Frame:
                 f" {self.rect.to_json()}"
             )
         shown = self.rect
-        turn = self.format.orientation
-        return astuple(turn.coded_rect(rect, shown.width, shown.height))
+        return astuple(
+            self.format.orientation.coded_rect(rect, shown.width, shown.height)
+        )
 
     def linear(self, rect: Rect, out: np.ndarray | None = None) -> np.ndarray:
         """(h, w, 3) float32 linear RGB of an upright rectangle; not clipped, so slightly
@@ -123,8 +124,13 @@ class Frame:
         into = (
             coded if coded.flags.c_contiguous else np.empty(coded.shape, np.float32)
         )
-        planes = samples.three(planes_of(self.picture, f.layout))
-        samples.read(s, planes, r, samples.scratch_for(s, r), into)
+        samples.read(
+            s,
+            samples.three(planes_of(self.picture, f.layout)),
+            r,
+            samples.scratch_for(s, r),
+            into,
+        )
         if into is not coded:
             coded[...] = into
         return out
@@ -137,8 +143,11 @@ class Frame:
         if not len(pixels):
             return np.zeros((0, 3), np.float32)
         (x0, y0), (x1, y1) = pixels.min(0).tolist(), pixels.max(0).tolist()
-        around = self.linear(Rect(x0, y0, x1 + 1, y1 + 1))
-        return np.ascontiguousarray(around[pixels[:, 1] - y0, pixels[:, 0] - x0])
+        return np.ascontiguousarray(
+            self.linear(Rect(x0, y0, x1 + 1, y1 + 1))[
+                pixels[:, 1] - y0, pixels[:, 0] - x0
+            ]
+        )
 
     def edited(self, rect: Rect, before: np.ndarray, after: np.ndarray) -> Frame:
         """A new frame whose stored samples differ by convert(after) - convert(before)
@@ -164,8 +173,7 @@ class Frame:
             samples.three(planes_of(p, f.layout)) for p in (self.picture, picture)
         )
         light = (packed(f.orientation.coded(x)) for x in (before, after))
-        scratch = samples.scratch_for(s, r)
-        if not samples.add(s, old, new, r, *light, scratch):
+        if not samples.add(s, old, new, r, *light, samples.scratch_for(s, r)):
             bad = np.count_nonzero(~np.isfinite(after).all(-1))
             raise RenderError(
                 f"frame {self.index}: {bad} edited pixels in {rect.to_json()} are not"

@@ -129,9 +129,13 @@ class ClipReader:
             if last_pts is not None and pts > last_pts:
                 return
             if first_pts is None or pts >= first_pts:
-                held = repacked(picture, self._format.layout.name)
-                key = bool(picture.key_frame)
-                yield Frame(held, self._format, next(index), pts, key)
+                yield Frame(
+                    repacked(picture, self._format.layout.name),
+                    self._format,
+                    next(index),
+                    pts,
+                    bool(picture.key_frame),
+                )
 
     def times(self) -> FrameTimes | None:
         """None where packets do not tell: a time is missing, there twice, or they go back."""
@@ -150,8 +154,12 @@ class ClipReader:
                 keys.append(time)
         if len(set(pts)) < len(pts):
             return None
-        irregular = self.damaged or bool(self._stopped)
-        return FrameTimes(sorted(pts), sorted(keys), self._verdict(True), irregular)
+        return FrameTimes(
+            sorted(pts),
+            sorted(keys),
+            self._verdict(True),
+            self.damaged or bool(self._stopped),
+        )
 
     def shifts(self) -> list[int]:
         """What frames' times are given beside those of the file, after each place where
@@ -302,8 +310,11 @@ class ClipReader:
         for picture in pictures:
             stated = picture.dts if self._by_decoding else picture.pts
             if last is None:
-                start = self.info.start_pts
-                pts = start if self._by_decoding or stated is None else stated
+                pts = (
+                    self.info.start_pts
+                    if self._by_decoding or stated is None
+                    else stated
+                )
                 shift = 0 if stated is None else pts - stated
             elif stated is None:
                 pts = last + step
@@ -325,8 +336,11 @@ class ClipReader:
             reason = f"the file ends after {length_s:.2f} s of {stated_s:.2f} s"
         if not reason and 0 < self._packets < stated:
             reason = f"{self._packets} of {stated} frames are in the file"
-        done = f"{info.path}: {reason}; processed to the last good frame"
-        return done if reason else None
+        return (
+            f"{info.path}: {reason}; processed to the last good frame"
+            if reason
+            else None
+        )
 
 
 def read_on(container: Any, streams: list[Any]) -> Iterator[Any]:
@@ -360,8 +374,11 @@ def missing_frames(
     steady = gaps and np.mean(np.abs(steps - usual) <= usual / 4) >= 0.9
     found = []
     for k in np.flatnonzero(steps > 2 * _APART * usual).tolist():
-        first = bisect_right(stated, shown[k] + _APART * usual)
-        lost = stated[first : bisect_left(stated, shown[k + 1] - _APART * usual)]
+        lost = stated[
+            bisect_right(stated, shown[k] + _APART * usual) : bisect_left(
+                stated, shown[k + 1] - _APART * usual
+            )
+        ]
         gap = round(steps[k] / usual) - 1 if steady and steps[k] >= 1.5 * usual else 0
         if count := max(len(lost), gap):
             found.append((lost[0] if lost else round(shown[k] + usual), count))

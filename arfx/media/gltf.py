@@ -68,8 +68,9 @@ class Gltf:
         for buffer in self.header.get("buffers", []):
             content, size = self.content(buffer), buffer.get("byteLength", 0)
             if len(content) < size:
-                what = f"a buffer holds {len(content)} of {size} bytes"
-                raise InputError(what, DAMAGED)
+                raise InputError(
+                    f"a buffer holds {len(content)} of {size} bytes", DAMAGED
+                )
             self._buffers.append(content)
 
     def content(self, given: dict[str, Any]) -> bytes:
@@ -103,8 +104,11 @@ class Gltf:
             out[:] = self._values(accessor, count, found)
         if sparse := accessor.get("sparse"):
             rows = self._values(sparse["indices"], sparse["count"], 1)[:, 0]
-            values = {"componentType": accessor["componentType"], **sparse["values"]}
-            out[rows] = self._values(values, sparse["count"], found)
+            out[rows] = self._values(
+                {"componentType": accessor["componentType"], **sparse["values"]},
+                sparse["count"],
+                found,
+            )
         return shares(out) if accessor.get("normalized") else out
 
     def _values(self, place: dict[str, Any], count: int, columns: int) -> np.ndarray:
@@ -112,10 +116,12 @@ class Gltf:
         view = self._views[place["bufferView"]]
         kind = np.dtype(_KINDS[place["componentType"]])
         start = view.get("byteOffset", 0) + place.get("byteOffset", 0)
-        stride = view.get("byteStride", kind.itemsize * columns)
-        content = self._buffers[view["buffer"]]
         return np.ndarray(
-            (count, columns), kind, content, start, (stride, kind.itemsize)
+            (count, columns),
+            kind,
+            self._buffers[view["buffer"]],
+            start,
+            (view.get("byteStride", kind.itemsize * columns), kind.itemsize),
         )
 
 
@@ -183,8 +189,9 @@ def gltf_material(gltf: Gltf, number: int, coloured: bool) -> Material:
     name = f"{given.get('name', 'material')} {number}"
     if "KHR_materials_unlit" in extensions:
         if coloured:  # they are no part of emission
-            text = f"material {name} is unlit with colours by vertex: it is shown lit"
-            notices.append(text)
+            notices.append(
+                f"material {name} is unlit with colours by vertex: it is shown lit"
+            )
         else:
             fields = _emission(fields)
     return checked(
@@ -213,11 +220,13 @@ def _emission(fields: dict[str, Any]) -> dict[str, Any]:
 
 def _glossy(gltf: Gltf, given: dict[str, Any]) -> dict[str, Any]:
     """Metallic-roughness of specular-glossiness, texel by texel where it has textures."""
-    shine = [
-        *given.get("specularFactor", [1.0] * 3),
-        given.get("glossinessFactor", 1.0),
-    ]
-    factors = given.get("diffuseFactor", [1.0] * 4), shine
+    factors = (
+        given.get("diffuseFactor", [1.0] * 4),
+        [
+            *given.get("specularFactor", [1.0] * 3),
+            given.get("glossinessFactor", 1.0),
+        ],
+    )
     keys = "diffuseTexture", "specularGlossinessTexture"
     matt, shiny = textures = [_texture(gltf, given.get(key)) for key in keys]
     laid, rough_laid = matt or shiny, shiny or matt
@@ -266,15 +275,21 @@ def _texture(gltf: Gltf, slot: dict[str, Any] | None) -> Texture | None:
     if picture is None:
         return None
     if uv_set not in (0, 1):
-        what = "left out a texture laid by a third set of coordinates"
-        gltf.file.notices.append(what)
+        gltf.file.notices.append(
+            "left out a texture laid by a third set of coordinates"
+        )
         return None
     sampler: dict[str, Any] = {}
     if "sampler" in texture:
         sampler = gltf.header["samplers"][texture["sampler"]]
     across, down = (_WRAPS.get(sampler.get(k, 0), REPEAT) for k in ("wrapS", "wrapT"))
-    nearest = sampler.get("magFilter") == _NEAREST
-    return Texture(picture, uv_set, _picture_from_uv(change), (across, down), nearest)
+    return Texture(
+        picture,
+        uv_set,
+        _picture_from_uv(change),
+        (across, down),
+        sampler.get("magFilter") == _NEAREST,
+    )
 
 
 def _stated(tree: dict[str, Any], path: str, default: Any = None) -> Any:
@@ -305,15 +320,16 @@ def _metallic(
     d, s = _brightness(colour), _brightness(specular)
     rest = (1.0 - specular.max(-1)) / (1.0 - _DIELECTRIC)
     b = d * rest + s - 2 * _DIELECTRIC
-    square = b * b - 4 * _DIELECTRIC * (_DIELECTRIC - s)
-    share = (np.sqrt(np.maximum(square, 0.0)) - b) / (2 * _DIELECTRIC)
+    share = (
+        np.sqrt(np.maximum(b * b - 4 * _DIELECTRIC * (_DIELECTRIC - s), 0.0)) - b
+    ) / (2 * _DIELECTRIC)
     metal = np.where(s < _DIELECTRIC, 0.0, np.clip(share, 0.0, 1.0))
     m = metal[..., None]
     matt = colour * rest[..., None] / np.maximum(1.0 - m, 1e-6)
     shiny = (specular - _DIELECTRIC * (1.0 - m)) / np.maximum(m, 1e-6)
-    base = np.clip(matt + (shiny - matt) * m * m, 0.0, 1.0)
-    rough = np.stack([1.0 - shine[..., 3], metal], -1)
-    return np.concatenate([base, diffuse[..., 3:]], -1), rough
+    return np.concatenate(
+        [np.clip(matt + (shiny - matt) * m * m, 0.0, 1.0), diffuse[..., 3:]], -1
+    ), np.stack([1.0 - shine[..., 3], metal], -1)
 
 
 def _brightness(colour: np.ndarray) -> np.ndarray:

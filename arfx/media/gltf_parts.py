@@ -51,8 +51,10 @@ def _placed(gltf: Gltf) -> Iterator[tuple[int, np.ndarray]]:
     while waiting:
         number, model_from_parent = waiting.pop()
         if number in seen:
-            what = f"node {number} is below itself or below two others"
-            raise InputError(what, "nodes must form a tree")
+            raise InputError(
+                f"node {number} is below itself or below two others",
+                "nodes must form a tree",
+            )
         seen.add(number)
         node = nodes[number]
         extensions = node.get("extensions", {})
@@ -73,8 +75,9 @@ def _roots(gltf: Gltf, nodes: list[dict[str, Any]]) -> list[int]:
         return [number for number in range(len(nodes)) if number not in below]
     shown = gltf.header.get("scene", 0)
     if len(scenes) > 1:
-        what = f"{len(scenes)} scenes, number {shown} is shown (from 0 on)"
-        gltf.file.notices.append(what)
+        gltf.file.notices.append(
+            f"{len(scenes)} scenes, number {shown} is shown (from 0 on)"
+        )
     return list(scenes[shown].get("nodes", []))
 
 

@@ -80,8 +80,12 @@ def load_image(path: Path) -> np.ndarray:
 
 def _linear(coded: np.ndarray) -> np.ndarray:
     """float32 of whole numbers in sRGB."""
-    values = np.linspace(0, 1, 1 << 8 * coded.dtype.itemsize)
-    return np.take(SRGB.decode(values).astype(np.float32), coded)
+    return np.take(
+        SRGB.decode(np.linspace(0, 1, 1 << 8 * coded.dtype.itemsize)).astype(
+            np.float32
+        ),
+        coded,
+    )
 
 
 def load_print(path: Path) -> tuple[np.ndarray, float]:
@@ -98,8 +102,9 @@ def load_print(path: Path) -> tuple[np.ndarray, float]:
 
 def _decode_exr(data: bytes) -> np.ndarray:
     """(h, w) or (h, w, 3), blue first, float32 as stored. Raises FFmpeg's errors, IndexError."""
-    decoder = av.CodecContext.create("exr", "r")
-    picture = decoder.decode(av.Packet(data))[0].to_ndarray()
+    picture = (
+        av.CodecContext.create("exr", "r").decode(av.Packet(data))[0].to_ndarray()
+    )
     return picture if picture.ndim == 2 else picture[..., 2::-1]
 
 
@@ -133,8 +138,10 @@ def _one_channel(data: bytes, path: Path) -> bytes:
     wanted = next((n for n in _DEPTH_CHANNELS if n in ends), None)
     if wanted is None:
         held = ", ".join(n.decode(errors="replace") for n in ends)
-        what = f"depth map {path} holds the channels {held}, none of which is known as depth"
-        raise InputError(what, "one called Z, V, Y or R")
+        raise InputError(
+            f"depth map {path} holds the channels {held}, none of which is known as depth",
+            "one called Z, V, Y or R",
+        )
     renamed = bytearray(data)
     for name, last in ends.items():
         renamed[last - 1] = ord("Y" if name == wanted else "_")
@@ -206,9 +213,10 @@ def open_picture(data: bytes, path: Path, kind: str) -> Any:
         try:
             importlib.import_module("pillow_heif").register_heif_opener()
         except ImportError:
-            text = f"{kind} {path} is HEIC, which needs the package pillow-heif"
-            hint = "pip install pillow-heif, or save it as JPEG"
-            raise InputError(text, hint) from None
+            raise InputError(
+                f"{kind} {path} is HEIC, which needs the package pillow-heif",
+                "pip install pillow-heif, or save it as JPEG",
+            ) from None
     return Image.open(io.BytesIO(data), formats=formats)
 
 
@@ -256,8 +264,10 @@ def check_size(source: bytes | Path, path: Path, kind: str) -> None:
     most = MAX_PIXELS[kind]
     for width, height in pages:
         if not 0 < width * height <= most:
-            hint = f"at most {most / 1e6:.0f} megapixels: scale it down"
-            raise InputError(f"{kind} {path} is {width}x{height}", hint)
+            raise InputError(
+                f"{kind} {path} is {width}x{height}",
+                f"at most {most / 1e6:.0f} megapixels: scale it down",
+            )
 
 
 def _sizes(data: bytes | Path, path: Path, kind: str) -> Sequence[tuple[int, int]]:

@@ -117,8 +117,9 @@ def _ranks_of(chunks: Sequence[Path], count: int) -> list[int]:
                     "render the job again",
                 )
             extradata = own
-            shown = [p.pts for p in c.demux(stream) if p.size]
-            order = np.argsort(np.argsort(shown, kind="stable"))
+            order = np.argsort(
+                np.argsort([p.pts for p in c.demux(stream) if p.size], kind="stable")
+            )
             ranks += (len(ranks) + order).tolist()
     if len(ranks) != count:
         raise RenderError(
@@ -167,8 +168,10 @@ def _remux(
         source = stack.enter_context(open_video(info.path))
         first = stack.enter_context(av.open(ffmpeg_url(chunks[0])))
         if plan.container in ("mp4", "mov"):
-            scale = _timescale(info, source, plan)
-            options |= {"movflags": "faststart", "movie_timescale": str(scale)}
+            options |= {
+                "movflags": "faststart",
+                "movie_timescale": str(_timescale(info, source, plan)),
+            }
         out = create_container(part, plan.container, container_options=options)
         stack.callback(abandon, out)
         out.metadata.update(_plain_metadata(source.metadata))
@@ -179,8 +182,9 @@ def _remux(
             elif s.index in plan.streams:
                 streams[s.index] = _add_stream(out, s, s, s.time_base)
                 if s.type == "video":
-                    rate = s.average_rate or s.guessed_rate or Fraction(25)
-                    streams[s.index].codec_context.framerate = rate
+                    streams[s.index].codec_context.framerate = (
+                        s.average_rate or s.guessed_rate or Fraction(25)
+                    )
         if start_s is None and end_s is None and source.chapters():
             out.set_chapters(source.chapters())
         video = _video_packets(chunks, pts, info.time_base, shown)

@@ -57,8 +57,9 @@ class ModelFile:
                 f"it has more than {MAX_FACES} faces", "simplify it first"
             )
         if parts > MAX_PARTS:
-            what = f"it has more than {MAX_PARTS} parts or materials"
-            raise InputError(what, "join them first")
+            raise InputError(
+                f"it has more than {MAX_PARTS} parts or materials", "join them first"
+            )
 
     def picture(
         self, name: Any, content: Callable[[], bytes] | None = None
@@ -83,8 +84,10 @@ class ModelFile:
             return None
         width, height = image.size
         if max(width, height) > MAX_TEXTURE_PX:
-            hint = f"at most {MAX_TEXTURE_PX} px a side: scale it down"
-            raise InputError(f"a texture is {width}x{height} px", hint)
+            raise InputError(
+                f"a texture is {width}x{height} px",
+                f"at most {MAX_TEXTURE_PX} px a side: scale it down",
+            )
         self._texels += width * height
         if self._texels > MAX_TEXELS:
             what = f"its textures hold more than {MAX_TEXELS / 1e6:.0f} megapixels"
@@ -93,8 +96,9 @@ class ModelFile:
             with image:
                 # 16-bit greys, which Pillow cuts off at 255
                 if image.mode.startswith("I"):
-                    grey = np.clip(np.asarray(image) >> 8, 0, 255)
-                    image = Image.fromarray(grey.astype(np.uint8))
+                    image = Image.fromarray(
+                        np.clip(np.asarray(image) >> 8, 0, 255).astype(np.uint8)
+                    )
                 return np.asarray(image.convert("RGBA"))
         except (OSError, ValueError, SyntaxError) as e:  # Pillow decodes late
             what = "a texture is damaged or cut short"
@@ -168,8 +172,9 @@ class ModelFile:
             if path not in self._names:
                 inside = path.resolve().is_relative_to(self._folder) and path.is_dir()
                 on_disk = sorted(os.listdir(path)) if inside else []  # noqa: PTH208
-                own = {n: n for n in on_disk}
-                self._names[path] = {_folded(n): n for n in on_disk[::-1]} | own
+                self._names[path] = {_folded(n): n for n in on_disk[::-1]} | {
+                    n: n for n in on_disk
+                }
             names = self._names[path]
             path /= names.get(name) or names.get(_folded(name), name)
         return path

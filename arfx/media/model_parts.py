@@ -68,8 +68,7 @@ def part_of(
     side = float(np.sign(np.linalg.det(linear))) or 1.0
     if side < 0:  # a mirror turns every triangle inside out
         faces = faces[:, ::-1]
-    keep = _have_area(rows["vertices"], faces)
-    faces = faces[keep]
+    faces = faces[_have_area(rows["vertices"], faces)]
     if not len(faces):
         return None
     own = {}  # what corners have, whatever vertex they are of
@@ -86,9 +85,12 @@ def part_of(
             rows, faces = {"vertices": rows["vertices"][first]}, number[faces]
         own["normals"] = corner_normals(rows["vertices"], faces)
     if "tangents" in rows:
-        along = normalise(rows["tangents"][:, :3] @ linear.T)
-        signs = side * np.sign(rows["tangents"][:, 3])
-        rows["tangents"] = np.column_stack([along, signs])
+        rows["tangents"] = np.column_stack(
+            [
+                normalise(rows["tangents"][:, :3] @ linear.T),
+                side * np.sign(rows["tangents"][:, 3]),
+            ]
+        )
     part = _indexed(faces, rows, own, material)
     texture = material.normal_texture or material.clearcoat_normal_texture
     uv = None if texture is None else part.uv_on(texture)
@@ -96,8 +98,13 @@ def part_of(
         return replace(part, tangents=None)
     if part.tangents is not None:
         return part
-    tangents = corner_tangents(part.vertices, part.faces, part.normals, uv)
-    return _indexed(faces, rows, own | {"tangents": tangents}, material)
+    return _indexed(
+        faces,
+        rows,
+        own
+        | {"tangents": corner_tangents(part.vertices, part.faces, part.normals, uv)},
+        material,
+    )
 
 
 def _check(vertices: np.ndarray, faces: np.ndarray) -> None:
@@ -126,8 +133,10 @@ def _usable(rows: Rows) -> Rows:
 def _have_area(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(m,) bool."""
     corners = vertices[faces]
-    extent = float(np.ptp(corners, axis=(0, 1)).max())
-    return np.asarray((across(corners) ** 2).sum(1) > _DEGENERATE * extent**4)
+    return np.asarray(
+        (across(corners) ** 2).sum(1)
+        > _DEGENERATE * float(np.ptp(corners, axis=(0, 1)).max()) ** 4
+    )
 
 
 def _indexed(
@@ -142,9 +151,11 @@ def _indexed(
     corners = faces.ravel()
     first, number = same_rows(np.column_stack([corners, *own.values()]))
     shared = {name: values[corners[first]] for name, values in rows.items()}
-    split = {name: values[first] for name, values in own.items()}
-    numbers = number.reshape(-1, 3).astype(np.int32)
-    return Part(faces=numbers, material=material, **(shared | split))
+    return Part(
+        faces=number.reshape(-1, 3).astype(np.int32),
+        material=material,
+        **(shared | {name: values[first] for name, values in own.items()}),
+    )
 
 
 def plain_material(has_colours: bool, double_sided: bool) -> Material:
@@ -199,9 +210,10 @@ def checked(material: Material) -> Material:
         )
         raise InputError(f"{what} {_BRIGHTEST:g}", "export it again")
     mode = material.alpha_mode.upper()
-    shares = {name: min(max(getattr(material, name), 0.0), 1.0) for name in _UNIT}
     return replace(
-        material, alpha_mode=mode if mode in (MASK, BLEND) else OPAQUE, **shares
+        material,
+        alpha_mode=mode if mode in (MASK, BLEND) else OPAQUE,
+        **{name: min(max(getattr(material, name), 0.0), 1.0) for name in _UNIT},
     )
 
 
@@ -242,11 +254,15 @@ def corner_tangents(
     place = same_rows(np.concatenate([vertices, normals, uv], 1))[1][faces]
     a, b = _shared_edges(place)
     joined = (side[a // 3] * side[b // 3] > 0) & (place.flat[a] != place.flat[b])
-    directions = _in_plane(along_u[:, None], n)
-    tangents = _smoothed(place, a[joined], b[joined], p, n, directions)
+    tangents = _smoothed(
+        place, a[joined], b[joined], p, n, _in_plane(along_u[:, None], n)
+    )
     normal = n.reshape(-1, 3)
-    anyhow = _in_plane(np.eye(3)[np.abs(normal).argmin(1)], normal)
-    tangents = np.where(tangents.any(1, keepdims=True), tangents, anyhow)
+    tangents = np.where(
+        tangents.any(1, keepdims=True),
+        tangents,
+        _in_plane(np.eye(3)[np.abs(normal).argmin(1)], normal),
+    )
     return np.column_stack([tangents, np.repeat(np.where(side == 0, 1.0, side), 3)])
 
 
@@ -275,15 +291,20 @@ def _smoothed(
     from trimesh.graph import connected_component_labels
 
     end = np.roll(np.arange(place.size).reshape(-1, 3), -1, 1).ravel()
-    opposite = place.flat[a] != place.flat[b]
-    there = np.where(opposite, [end[b], b], [b, end[b]])
-    links = np.stack([[a, end[a]], there], -1).reshape(-1, 2)
+    links = np.stack(
+        [
+            [a, end[a]],
+            np.where(place.flat[a] != place.flat[b], [end[b], b], [b, end[b]]),
+        ],
+        -1,
+    ).reshape(-1, 2)
     group = connected_component_labels(links, node_count=place.size)
     # turned by a quarter, in the plane of the normals
     sides = (np.cross(normals, np.roll(p, k, 1) - p) for k in (-1, 1))
     weighted = angle_between(*sides)[..., None] * directions
-    sums = [np.bincount(group, axis) for axis in weighted.reshape(-1, 3).T]
-    return normalise(np.stack(sums, 1))[group]
+    return normalise(
+        np.stack([np.bincount(group, axis) for axis in weighted.reshape(-1, 3).T], 1)
+    )[group]
 
 
 def _in_plane(v: np.ndarray, normal: np.ndarray) -> np.ndarray:

@@ -112,8 +112,10 @@ def _read(file: ModelFile) -> list[Part]:
     if lost := faces - sum(len(part.faces) for part in parts):
         file.notices.append(f"{lost} faces without area left out")
     if not parts:
-        hint = "a mesh with triangles is needed; points and lines cannot be rendered"
-        raise InputError("it has no faces", hint)
+        raise InputError(
+            "it has no faces",
+            "a mesh with triangles is needed; points and lines cannot be rendered",
+        )
     return parts
 
 

@@ -133,8 +133,9 @@ def _materials(
             found[name] = mtl_material(file, name, described, left_out)
     if missing and not lost:
         names = ", ".join([*missing[:5], "…"][: len(missing)])
-        what = f"no MTL file describes {len(missing)} of its materials: {names}"
-        file.notices.append(what)
+        file.notices.append(
+            f"no MTL file describes {len(missing)} of its materials: {names}"
+        )
     if left_out:
         file.notices.append(f"left out of its materials: {', '.join(left_out)}")
     return found
@@ -174,9 +175,9 @@ def _triangles(lines: list[str]) -> tuple[np.ndarray, np.ndarray]:
     fans = [word for first, pair in pairs for word in (first, *pair)]
     number = dict(zip(dict.fromkeys(fans), count(), strict=False))
     filled = (word.rstrip("/").replace("//", "/0/") for word in number)
-    corners = np.array([(*word.split("/"), "0", "0")[:3] for word in filled], int)
-    triangles = np.array([number[word] for word in fans], int)
-    return triangles.reshape(-1, 3), corners.reshape(-1, 3)
+    return np.array([number[word] for word in fans], int).reshape(-1, 3), np.array(
+        [(*word.split("/"), "0", "0")[:3] for word in filled], int
+    ).reshape(-1, 3)
 
 
 def mtl_material(

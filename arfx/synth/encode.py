@@ -96,8 +96,9 @@ class ClipFile(VideoFile):
 
     def write(self, coded: np.ndarray, time_s: float) -> None:
         """coded (h, w, 3) float R'G'B' 0..1, upright;  time_s from the clip's first frame."""
-        turned = np.rot90(coded, -self._scene.clip.rotation_deg // 90)
-        coded = np.ascontiguousarray(turned)
+        coded = np.ascontiguousarray(
+            np.rot90(coded, -self._scene.clip.rotation_deg // 90)
+        )
         self.put(self._samples(coded), self._scene.clip.start_s + time_s)
 
     def _samples(self, coded: np.ndarray) -> np.ndarray:
@@ -105,15 +106,28 @@ class ClipFile(VideoFile):
         luma, chroma = 16 + 219 * yuv[..., 0], 128 + 224 * yuv[..., 1:]
         shape: tuple[int, ...] = 3, *luma.shape
         if self._stream.pix_fmt == "yuv420p":
-            across = np.array([[0.25, 0.5, 0.25]])
-            wide = cv2.filter2D(chroma, -1, across, borderType=cv2.BORDER_REPLICATE)
+            wide = cv2.filter2D(
+                chroma,
+                -1,
+                np.array([[0.25, 0.5, 0.25]]),
+                borderType=cv2.BORDER_REPLICATE,
+            )
             wide = wide[:, ::2]
             chroma = (wide[::2] + wide[1::2]) / 2
             shape = luma.shape[0] * 3 // 2, luma.shape[1]
-        planes = np.concatenate(
-            [p.ravel() for p in (luma, *np.moveaxis(chroma, -1, 0))]
+        return (
+            np.clip(
+                np.rint(
+                    np.concatenate(
+                        [p.ravel() for p in (luma, *np.moveaxis(chroma, -1, 0))]
+                    )
+                ),
+                0,
+                255,
+            )
+            .astype(np.uint8)
+            .reshape(shape)
         )
-        return np.clip(np.rint(planes), 0, 255).astype(np.uint8).reshape(shape)
 
     def close(self) -> None:
         if self._tone is not None:
@@ -122,10 +136,14 @@ class ClipFile(VideoFile):
 
     def _put_tone(self) -> None:
         scene = self._scene
-        n = int(48_000 * scene.frames / scene.clip.fps)
-        turns = (scene.clip.tone_hz or 0) * np.arange(n) / 48_000
-        wave = (0.2 * np.sin(2 * np.pi * turns)).astype(np.float32)
-        frame = av.AudioFrame.from_ndarray(wave[None], "fltp", "mono")
+        turns = (
+            (scene.clip.tone_hz or 0)
+            * np.arange(int(48_000 * scene.frames / scene.clip.fps))
+            / 48_000
+        )
+        frame = av.AudioFrame.from_ndarray(
+            (0.2 * np.sin(2 * np.pi * turns)).astype(np.float32)[None], "fltp", "mono"
+        )
         frame.sample_rate, frame.time_base = 48_000, Fraction(1, 48_000)
         frame.pts = round(scene.clip.start_s * 48_000)
         for part in (

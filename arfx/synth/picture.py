@@ -40,8 +40,9 @@ class Picture:
             self.side = max(
                 self.side, 4
             )  # fewer than 16 moments or lens points leave separate copies of an edge
-        kept = _KEEP_BYTES // (16 * world.camera.rect.area)
-        self.rays = lru_cache(kept)(self._rays)
+        self.rays = lru_cache(_KEEP_BYTES // (16 * world.camera.rect.area))(
+            self._rays
+        )
 
     def _rays(self, dx: float, dy: float) -> np.ndarray:
         """(h, w, 2) camera directions at pixel centres shifted by (dx, dy) px; NaN where
@@ -59,20 +60,33 @@ class Picture:
         if n == 1 or not (scene.lens.shutter_s or scene.lens.aperture_m):
             light, number = self._sample(frame, 0.0, (0.0, 0.0), chosen, 1.0, seed)
             out, met = light.reshape(out.shape), number.reshape(self.shape)
-            box = np.ones((3, 3), np.uint8)
-            differs = cv2.morphologyEx(met, cv2.MORPH_GRADIENT, box) > 0
+            differs = (
+                cv2.morphologyEx(met, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
+                > 0
+            )
             chosen = ((met == 0) | differs) & (n > 1)
             out[chosen] = 0
         # which moment of the shutter a position gets
         order = np.random.default_rng([scene.seed, 11]).permutation(n * n)
         for k in range(n * n) if chosen.any() else ():
             place = (k % n + 0.5) / n - 0.5, (k // n + 0.5) / n - 0.5
-            late = scene.lens.shutter_s * ((order[k] + 0.5) / (n * n) - 0.5)
-            light, _ = self._sample(frame, late, place, chosen, 1 / n, seed + k)
+            light, _ = self._sample(
+                frame,
+                scene.lens.shutter_s * ((order[k] + 0.5) / (n * n) - 0.5),
+                place,
+                chosen,
+                1 / n,
+                seed + k,
+            )
             out[chosen] += light / n**2
         if (sigma := scene.lens.softness_px) > 0:
-            size = (2 * int(np.ceil(4 * sigma)) + 1,) * 2
-            cv2.GaussianBlur(out, size, sigma, out, borderType=cv2.BORDER_REPLICATE)
+            cv2.GaussianBlur(
+                out,
+                (2 * int(np.ceil(4 * sigma)) + 1,) * 2,
+                sigma,
+                out,
+                borderType=cv2.BORDER_REPLICATE,
+            )
         return out
 
     def _sample(
@@ -96,9 +110,15 @@ class Picture:
             first = part[0, 0] // _BAND_ROWS * _BAND_ROWS
             middle = (first + min(first + _BAND_ROWS, rows)) / 2
             room, pose = seen(late_s + (roll and roll * (middle / rows - 0.5)))
-            numbers = np.ravel_multi_index(at, chosen.shape)
             return radiance(
-                self._through_lens(rays[at], spans[at], numbers, pose, seed), room
+                self._through_lens(
+                    rays[at],
+                    spans[at],
+                    np.ravel_multi_index(at, chosen.shape),
+                    pose,
+                    seed,
+                ),
+                room,
             )
 
         parts = filter(len, np.split(pixels, cuts))
@@ -150,8 +170,9 @@ class Picture:
         if world.shots[frame] not in world.shots[frame + 1 : frame + 2]:
             return out
         t0, t1 = world.frame_times_s[[frame, frame + 1]].tolist()
-        rays = self.rays(0.0, 0.0)
-        points = np.dstack([rays, np.ones(depth.shape)]) * depth[..., None]
+        points = (
+            np.dstack([self.rays(0.0, 0.0), np.ones(depth.shape)]) * depth[..., None]
+        )
         _, room_from_camera = self._seen(frame)
         next_camera = world.camera_at(frame + 1, t1)
         poses = zip(world.poses(t0), world.poses(t1), strict=True)
@@ -206,9 +227,10 @@ def expose(
     noise = scene.noise
     if noise.read > 0 or noise.shot > 0:
         sigma = np.sqrt(noise.read**2 + noise.shot * np.clip(signal, 0, 1))
-        rng = np.random.default_rng([scene.seed, 101, frame])
         signal = signal + sigma * unit_noise(
-            rng, signal.shape, scene.hidden.noise_correlation_px
+            np.random.default_rng([scene.seed, 101, frame]),
+            signal.shape,
+            scene.hidden.noise_correlation_px,
         )
     return (
         Transfer(scene.hidden.transfer)
@@ -224,8 +246,9 @@ def unit_noise(
     white = rng.standard_normal(shape, np.float32)
     if correlation_px <= 0:
         return white
-    side = 2 * max(int(np.ceil(4 * correlation_px)), 1) + 1
-    kernel = cv2.getGaussianKernel(side, correlation_px)
+    kernel = cv2.getGaussianKernel(
+        2 * max(int(np.ceil(4 * correlation_px)), 1) + 1, correlation_px
+    )
     blurred = cv2.sepFilter2D(
         white, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT
     )

@@ -59,9 +59,12 @@ def texture_albedo(
     elif texture.kind == "noise":
         mix = _octaves(rng, shape, cell * 2, cell * 2)
     elif texture.kind == "carpet":
-        coarse = _octaves(rng, shape, cell * 4, cell * 4, 3)
-        tufts = _smooth(rng, shape, max(tuft, 1), max(tuft, 1))
-        mix = np.clip(0.5 * coarse + 0.5 * tufts, 0, 1)
+        mix = np.clip(
+            0.5 * _octaves(rng, shape, cell * 4, cell * 4, 3)
+            + 0.5 * _smooth(rng, shape, max(tuft, 1), max(tuft, 1)),
+            0,
+            1,
+        )
     else:
         mix = np.asarray((np.indices(shape) // cell).sum(0) % 2, np.float32)
     if mix.ndim == 2:
@@ -111,9 +114,11 @@ def _wood(
     boards = int(h / board) + 2
     tone = rng.random(boards).astype(np.float32)[number]
     shift = rng.integers(0, w, boards)[number]
-    along = (np.arange(w) - shift[:, None]) % w
     grain = (
-        np.take_along_axis(0.55 * wave + 0.25 * fine, along, 1) + 0.3 * tone[:, None]
+        np.take_along_axis(
+            0.55 * wave + 0.25 * fine, (np.arange(w) - shift[:, None]) % w, 1
+        )
+        + 0.3 * tone[:, None]
     )
     grain[1:][np.diff(number) > 0] *= 0.35
     grain[np.arange(h), shift] *= 0.4
@@ -164,8 +169,9 @@ def sheet_albedo(
     ink = np.linspace(
         marker.ink, marker.ink if right_ink is None else right_ink, len(white)
     )
-    side_m = marker.spec.size_m * len(white) / len(big)
-    return np.where(white, marker.paper, ink)[..., None], side_m
+    return np.where(white, marker.paper, ink)[..., None], marker.spec.size_m * len(
+        white
+    ) / len(big)
 
 
 def environment_picture(source: str | Path, folder: Path | None = None) -> np.ndarray:
@@ -175,8 +181,9 @@ def environment_picture(source: str | Path, folder: Path | None = None) -> np.nd
     if str(source) in _ROOMS:
         return _made(str(source))
     path = (folder or Path()) / source
-    picture = decode_picture(path, "image", cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
-    rgb = picture[..., ::-1].astype(float)
+    rgb = decode_picture(path, "image", cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)[
+        ..., ::-1
+    ].astype(float)
     if not np.isfinite(rgb).all() or rgb.min() < 0:
         raise InputError(
             f"environment {path} holds values that are not finite and >= 0"
@@ -191,8 +198,11 @@ def _made(name: str) -> np.ndarray:
     if name == "studio":  # grey room, two soft boxes and a warm strip
         picture = np.repeat(0.25 + 0.1 * z, 3, axis=2)
     else:
-        sky = np.dstack([0.25 + 0.5 * low, 0.3 + 0.25 * low, 0.5 - 0.1 * high])
-        picture = np.where(z > 0, sky, [0.12, 0.11, 0.1])
+        picture = np.where(
+            z > 0,
+            np.dstack([0.25 + 0.5 * low, 0.3 + 0.25 * low, 0.5 - 0.1 * high]),
+            [0.12, 0.11, 0.1],
+        )
     for lamp in _ROOMS[name]:
         aside = towards @ normalise(np.array(lamp["towards"]))
         picture[aside > np.cos(np.radians(lamp["radius_deg"]))] = lamp["rgb"]
@@ -201,9 +211,11 @@ def _made(name: str) -> np.ndarray:
 
 def _directions(h: int, w: int) -> tuple[np.ndarray, np.ndarray]:
     """Unit vectors (h, w, 3) of a panorama's pixels, and the solid angles (h, w) of these."""
-    elevation = np.pi * (0.5 - (np.arange(h) + 0.5) / h)
-    azimuth = 2 * np.pi * (0.5 - (np.arange(w) + 0.5) / w)
-    e, a = np.meshgrid(elevation, azimuth, indexing="ij")
+    e, a = np.meshgrid(
+        np.pi * (0.5 - (np.arange(h) + 0.5) / h),
+        2 * np.pi * (0.5 - (np.arange(w) + 0.5) / w),
+        indexing="ij",
+    )
     return direction_of(a, e), np.cos(e) * (np.pi / h) * (2 * np.pi / w)
 
 
@@ -216,9 +228,9 @@ def environment_lights(picture: np.ndarray, count: int) -> np.ndarray:
     power = picture.mean(-1) * solid
     # of each pixel: direction by power, light, power, row
     light = picture * solid[..., None] / np.pi
-    row = np.indices((h, w))[0]
-    pixels = np.dstack([towards * power[..., None], light, power, row])
-    regions = [pixels]
+    regions = [
+        np.dstack([towards * power[..., None], light, power, np.indices((h, w))[0]])
+    ]
     while len(regions) < count:
         sizes = [r[..., 6].sum() if r[..., 6].size > 1 else -1.0 for r in regions]
         pick = int(np.argmax(sizes))
@@ -226,11 +238,24 @@ def environment_lights(picture: np.ndarray, count: int) -> np.ndarray:
             break
         region = regions.pop(pick)
         rows, columns, _ = region.shape
-        middle = np.cos(np.pi * (0.5 - (region[0, 0, 7] + rows / 2) / h))
-        axis = 0 if columns == 1 or rows > columns * 2 * h / w * middle else 1
+        axis = (
+            0
+            if columns == 1
+            or rows
+            > columns
+            * 2
+            * h
+            / w
+            * np.cos(np.pi * (0.5 - (region[0, 0, 7] + rows / 2) / h))
+            else 1
+        )
         sums = region[..., 6].sum(1 - axis).cumsum()
-        cut = np.clip(np.searchsorted(sums, sums[-1] / 2) + 1, 1, len(sums) - 1)
-        regions += np.split(region, [int(cut)], axis)
+        regions += np.split(
+            region,
+            [int(np.clip(np.searchsorted(sums, sums[-1] / 2) + 1, 1, len(sums) - 1))],
+            axis,
+        )
     totals = [r.sum((0, 1)) for r in regions]
-    lights = [[*normalise(t[:3]), *t[3:6], 0.0] for t in totals if t[:3].any()]
-    return np.array(lights, float).reshape(-1, 7)
+    return np.array(
+        [[*normalise(t[:3]), *t[3:6], 0.0] for t in totals if t[:3].any()], float
+    ).reshape(-1, 7)

@@ -27,8 +27,12 @@ def radiance(rays: Rays, room: Room) -> tuple[np.ndarray, np.ndarray]:
         height, width = room.sky.shape[:2]
         x, y, up = normalise(rays.towards[away]).T
         column = ((0.5 - np.arctan2(y, x) / (2 * np.pi)) * width).astype(int) % width
-        row = ((0.5 - np.arcsin(up) / np.pi) * height).astype(int)
-        light[away] = room.sky[np.minimum(row, height - 1), column]
+        light[away] = room.sky[
+            np.minimum(
+                ((0.5 - np.arcsin(up) / np.pi) * height).astype(int), height - 1
+            ),
+            column,
+        ]
     return light, numbers
 
 
@@ -43,6 +47,10 @@ def surfaces(
     distance, index = np.empty(len(towards)), np.empty(len(towards), np.int64)
     towards = towards @ pose.rotation.T
     first_hits(starts, towards, room.rects, room.spheres, distance, index)
-    owners = np.concatenate([room.rects[:, 15], room.spheres[:, 7], [0.0]])
-    depth, owner = np.where(index < 0, 0.0, distance), owners[index].astype(np.uint8)
+    depth, owner = (
+        np.where(index < 0, 0.0, distance),
+        np.concatenate([room.rects[:, 15], room.spheres[:, 7], [0.0]])[index].astype(
+            np.uint8
+        ),
+    )
     return depth.reshape(rays.shape[:2]), owner.reshape(rays.shape[:2])
