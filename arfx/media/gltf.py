@@ -193,7 +193,17 @@ def gltf_material(gltf: Gltf, number: int, coloured: bool) -> Material:
                 f"material {name} is unlit with colours by vertex: it is shown lit"
             )
         else:
-            fields = _emission(fields)
+            # on a surface that sends nothing back
+            *colour, alpha = fields["base_colour"]
+            fields = {
+                "base_colour": (0.0, 0.0, 0.0, alpha),
+                "base_texture": fields["base_texture"],
+                "roughness": 1.0,
+                "emissive": tuple(colour),
+                "emissive_texture": fields["base_texture"],
+                "specular": 0.0,
+                "alpha_cutoff": fields["alpha_cutoff"],
+            }
     return checked(
         Material(
             name,
@@ -202,20 +212,6 @@ def gltf_material(gltf: Gltf, number: int, coloured: bool) -> Material:
             **fields,
         )
     )
-
-
-def _emission(fields: dict[str, Any]) -> dict[str, Any]:
-    """Of an unlit material: its colour as emission, on a surface that sends nothing back."""
-    *colour, alpha = fields["base_colour"]
-    return {
-        "base_colour": (0.0, 0.0, 0.0, alpha),
-        "base_texture": fields["base_texture"],
-        "roughness": 1.0,
-        "emissive": tuple(colour),
-        "emissive_texture": fields["base_texture"],
-        "specular": 0.0,
-        "alpha_cutoff": fields["alpha_cutoff"],
-    }
 
 
 def _glossy(gltf: Gltf, given: dict[str, Any]) -> dict[str, Any]:
@@ -317,7 +313,8 @@ def _metallic(
     Source: Khronos' convert-between-workflows; brightness: root of the weighted squares (HSP).
     """
     colour, specular = diffuse[..., :3], shine[..., :3]
-    d, s = _brightness(colour), _brightness(specular)
+    weights = np.array([0.299, 0.587, 0.114])
+    d, s = np.sqrt(colour**2 @ weights), np.sqrt(specular**2 @ weights)
     rest = (1.0 - specular.max(-1)) / (1.0 - _DIELECTRIC)
     b = d * rest + s - 2 * _DIELECTRIC
     share = (
@@ -330,7 +327,3 @@ def _metallic(
     return np.concatenate(
         [np.clip(matt + (shiny - matt) * m * m, 0.0, 1.0), diffuse[..., 3:]], -1
     ), np.stack([1.0 - shine[..., 3], metal], -1)
-
-
-def _brightness(colour: np.ndarray) -> np.ndarray:
-    return np.asarray(np.sqrt(colour**2 @ np.array([0.299, 0.587, 0.114])))

@@ -100,14 +100,6 @@ def load_print(path: Path) -> tuple[np.ndarray, float]:
     return linear, h / w
 
 
-def _decode_exr(data: bytes) -> np.ndarray:
-    """(h, w) or (h, w, 3), blue first, float32 as stored. Raises FFmpeg's errors, IndexError."""
-    picture = (
-        av.CodecContext.create("exr", "r").decode(av.Packet(data))[0].to_ndarray()
-    )
-    return picture if picture.ndim == 2 else picture[..., 2::-1]
-
-
 def _exr_header(data: bytes) -> dict[bytes, tuple[int, int]]:
     """By name where the value of an attribute begins, and its bytes.
 
@@ -164,13 +156,6 @@ def _write(path: Path, data: bytes) -> None:
         raise write_failed(path, e) from e
 
 
-# Of PyAV, of Pillow and of reading an EXR's header, on damaged files.
-_STUMBLES = (
-    *(av.error.FFmpegError, struct.error, LookupError, ValueError),
-    *(OSError, EOFError, RuntimeError, SyntaxError),
-)
-
-
 def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
     """As cv2.imdecode; of a depth map in an EXR the channel that holds it.
 
@@ -184,18 +169,24 @@ def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
                 raw = np.asarray(picture.convert("L" if grey else "RGB"))
             return raw if grey else raw[..., ::-1]
         if data.startswith(_EXR) and flags == cv2.IMREAD_UNCHANGED:
-            return _decode_exr(
-                _one_channel(data, path) if kind == "depth map" else data
-            )
+            if kind == "depth map":
+                data = _one_channel(data, path)
+            (picture,) = av.CodecContext.create("exr", "r").decode(av.Packet(data))
+            raw = picture.to_ndarray()
+            return raw if raw.ndim == 2 else raw[..., 2::-1]
         decoded: np.ndarray | None = cv2.imdecode(
             np.frombuffer(data, np.uint8), flags
         )
-        if decoded is not None:
-            return decoded
-    except (cv2.error, *_STUMBLES):
-        pass
-    what = "it is damaged, cut short, or of a variant that is not known"
-    raise InputError(f"{kind} {path} cannot be read: {what}", "save it again")
+        if decoded is None:
+            raise ValueError
+        return decoded
+    except InputError:
+        raise
+    except Exception as e:  # whatever the readers of pictures stumble over
+        what = "it is damaged, cut short, or of a variant that is not known"
+        raise InputError(
+            f"{kind} {path} cannot be read: {what}", "save it again"
+        ) from e
 
 
 def is_heif(data: bytes) -> bool:

@@ -68,7 +68,9 @@ def part_of(
     side = float(np.sign(np.linalg.det(linear))) or 1.0
     if side < 0:  # a mirror turns every triangle inside out
         faces = faces[:, ::-1]
-    faces = faces[_have_area(rows["vertices"], faces)]
+    corners = rows["vertices"][faces]
+    least = _DEGENERATE * float(np.ptp(corners, axis=(0, 1)).max()) ** 4
+    faces = faces[(across(corners) ** 2).sum(1) > least]
     if not len(faces):
         return None
     own = {}  # what corners have, whatever vertex they are of
@@ -128,15 +130,6 @@ def _usable(rows: Rows) -> Rows:
         ):
             out[name] = np.where(finite, values, 0.0)
     return out
-
-
-def _have_area(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(m,) bool."""
-    corners = vertices[faces]
-    return np.asarray(
-        (across(corners) ** 2).sum(1)
-        > _DEGENERATE * float(np.ptp(corners, axis=(0, 1)).max()) ** 4
-    )
 
 
 def _indexed(
