@@ -173,11 +173,9 @@ def sharpest_of_each(
     """Of every `group` frames (name, gray) in a row the sharpest, so that 1 in `group` is
     searched for the board.
     """
-    groups = itertools.groupby(
-        enumerate(frames), lambda numbered: numbered[0] // group
-    )
-    for _, some in groups:
-        yield max((f for _, f in some), key=lambda f: picture_sharpness(f[1]))
+    number = itertools.count()
+    for _, some in itertools.groupby(frames, lambda _: next(number) // group):
+        yield max(some, key=lambda frame: picture_sharpness(frame[1]))
 
 
 def most_varied(views: Sequence[View], keep: int) -> list[View]:

@@ -130,27 +130,18 @@ class ClipFile(VideoFile):
         )
 
     def close(self) -> None:
-        if self._tone is not None:
-            self._put_tone()
-        super().close()
-
-    def _put_tone(self) -> None:
         scene = self._scene
-        turns = (
-            (scene.clip.tone_hz or 0)
-            * np.arange(int(48_000 * scene.frames / scene.clip.fps))
-            / 48_000
-        )
-        frame = av.AudioFrame.from_ndarray(
-            (0.2 * np.sin(2 * np.pi * turns)).astype(np.float32)[None], "fltp", "mono"
-        )
-        frame.sample_rate, frame.time_base = 48_000, Fraction(1, 48_000)
-        frame.pts = round(scene.clip.start_s * 48_000)
-        for part in (
-            frame,
-            None,
-        ):  # the encoder cuts it and turns it into what it takes
-            self._out.mux(self._tone.encode(part))
+        if self._tone is not None:
+            samples = np.arange(int(48_000 * scene.frames / scene.clip.fps))
+            turns = (scene.clip.tone_hz or 0) * samples / 48_000
+            wave = (0.2 * np.sin(2 * np.pi * turns)).astype(np.float32)
+            frame = av.AudioFrame.from_ndarray(wave[None], "fltp", "mono")
+            frame.sample_rate, frame.time_base = 48_000, Fraction(1, 48_000)
+            frame.pts = round(scene.clip.start_s * 48_000)
+            # the encoder cuts it and turns it into what it takes
+            for part in (frame, None):
+                self._out.mux(self._tone.encode(part))
+        super().close()
 
 
 def _tag(what: Any) -> None:

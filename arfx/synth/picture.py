@@ -40,15 +40,12 @@ class Picture:
             self.side = max(
                 self.side, 4
             )  # fewer than 16 moments or lens points leave separate copies of an edge
+        centres = _pixels(self.shape)
+        # (h, w, 2) camera directions at pixel centres shifted by (dx, dy) px; NaN where
+        # the lens maps nothing
         self.rays = lru_cache(_KEEP_BYTES // (16 * world.camera.rect.area))(
-            self._rays
+            lambda dx, dy: world.camera.normalised(centres + (dx, dy))
         )
-
-    def _rays(self, dx: float, dy: float) -> np.ndarray:
-        """(h, w, 2) camera directions at pixel centres shifted by (dx, dy) px; NaN where
-        the lens maps nothing.
-        """
-        return self.world.camera.normalised(np.add(_pixels(self.shape), (dx, dy)))
 
     def radiance(self, frame: int) -> np.ndarray:
         """(h, w, 3) float64 linear radiance of a frame, before exposure.

@@ -47,11 +47,7 @@ def texture_albedo(
     rng = np.random.default_rng([seed, zlib.crc32(texture.kind.encode())])
     texel = max(max(size_m) / 1024, texture.feature_m / 6)
     w, h = (max(round(side / texel), 2) for side in size_m)
-    shape, cell, tuft = (
-        (h, w),
-        texture.feature_m / texel,
-        texture.feature_m / texel / 2,
-    )
+    shape, cell = (h, w), texture.feature_m / texel
     if texture.kind == "wood":
         mix = _wood(rng, shape, cell)
     elif texture.kind == "poster":
@@ -61,7 +57,7 @@ def texture_albedo(
     elif texture.kind == "carpet":
         mix = np.clip(
             0.5 * _octaves(rng, shape, cell * 4, cell * 4, 3)
-            + 0.5 * _smooth(rng, shape, max(tuft, 1), max(tuft, 1)),
+            + 0.5 * _smooth(rng, shape, cell / 2, cell / 2),
             0,
             1,
         )
@@ -74,14 +70,12 @@ def texture_albedo(
 
 
 def _smooth(
-    rng: np.random.Generator, shape: tuple[int, int], cell_y: float, cell_x: float
+    rng: np.random.Generator, shape: tuple[int, int], *cells: float
 ) -> np.ndarray:
-    """Value noise 0..1 with features of that many texels."""
-    h, w = shape
-    grid = rng.random(
-        (max(int(h / cell_y) + 2, 2), max(int(w / cell_x) + 2, 2)), np.float32
-    )
-    return cv2.resize(grid, (w, h), interpolation=cv2.INTER_CUBIC)
+    """Value noise 0..1 with features of that many texels down and across, at least one."""
+    size = [int(n / max(cell, 1)) + 2 for n, cell in zip(shape, cells, strict=True)]
+    grid = rng.random(size, np.float32)
+    return cv2.resize(grid, shape[::-1], interpolation=cv2.INTER_CUBIC)
 
 
 def _octaves(
@@ -93,9 +87,7 @@ def _octaves(
 ) -> np.ndarray:
     total = np.zeros(shape, np.float32)
     for k in range(count):
-        total += (
-            _smooth(rng, shape, max(cell_y / 2**k, 1), max(cell_x / 2**k, 1)) * 0.6**k
-        )
+        total += _smooth(rng, shape, cell_y / 2**k, cell_x / 2**k) * 0.6**k
     spread = (total - total.mean()) / max(float(total.std()), 1e-6)
     return np.clip(0.5 + 0.25 * spread, 0, 1)
 
@@ -110,7 +102,7 @@ def _wood(
     board = max(cell * 5, 4)
     number = (np.arange(h, dtype=np.float32) / board).astype(int)
     wave = _octaves(rng, shape, cell, cell * 12)
-    fine = _smooth(rng, shape, max(cell / 5, 1), cell * 3)
+    fine = _smooth(rng, shape, cell / 5, cell * 3)
     boards = int(h / board) + 2
     tone = rng.random(boards).astype(np.float32)[number]
     shift = rng.integers(0, w, boards)[number]
@@ -193,17 +185,11 @@ def environment_picture(source: str | Path, folder: Path | None = None) -> np.nd
 
 def _made(name: str) -> np.ndarray:
     towards, _ = _directions(128, 256)
-    z = towards[..., 2:]
-    low, high = (1 - np.abs(z)) ** 3, np.abs(z)
-    if name == "studio":  # grey room, two soft boxes and a warm strip
-        picture = np.repeat(0.25 + 0.1 * z, 3, axis=2)
-    else:
-        picture = np.where(
-            z > 0,
-            np.dstack([0.25 + 0.5 * low, 0.3 + 0.25 * low, 0.5 - 0.1 * high]),
-            [0.12, 0.11, 0.1],
-        )
-    for lamp in _ROOMS[name]:
+    up = towards[..., 2:]
+    parts = np.dstack([up**0, (1 - np.abs(up)) ** 3, np.abs(up)])
+    halves = (parts @ np.array(half) for half in _ROOMS[name]["halves"])
+    picture = np.where(up > 0, *halves)
+    for lamp in _ROOMS[name]["lamps"]:
         aside = towards @ normalise(np.array(lamp["towards"]))
         picture[aside > np.cos(np.radians(lamp["radius_deg"]))] = lamp["rgb"]
     return picture

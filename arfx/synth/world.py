@@ -49,7 +49,12 @@ class World:
     def __init__(self, scene: SceneFile, folder: Path | None = None) -> None:
         self.scene = scene
         self.camera = true_camera(scene)
-        self.frame_times_s = _frame_times(scene)
+        n = np.arange(scene.frames, dtype=float)
+        if scene.clip.frame_times == "variable":
+            rng = np.random.default_rng([scene.seed, 90_000])
+            n[1:-1] += rng.uniform(-0.35, 0.35, n[1:-1].shape)
+        # on the clip's 1/90000 s clock
+        self.frame_times_s = np.round(n / scene.clip.fps * 90_000) / 90_000
         self.shots = np.repeat(
             np.arange(len(scene.shot)), [s.frames for s in scene.shot]
         )
@@ -193,16 +198,6 @@ def _room(scene: SceneFile, folder: Path | None) -> Room:
         np.concatenate(tables),
         sky,
     )
-
-
-def _frame_times(scene: SceneFile) -> np.ndarray:
-    """Seconds from the first frame, on the clip's 1/90000 s clock."""
-    n = np.arange(scene.frames, dtype=float)
-    if scene.clip.frame_times == "variable":
-        n[1:-1] += np.random.default_rng([scene.seed, 90_000]).uniform(
-            -0.35, 0.35, n[1:-1].shape
-        )
-    return np.round(n / scene.clip.fps * 90_000) / 90_000
 
 
 def marker_points(marker: Marker, count: int = 12) -> np.ndarray:
