@@ -238,9 +238,6 @@ def _first_picture(container: Any, stream: Any, path: Path) -> av.VideoFrame:
                 for picture in packet.decode():
                     return picture
             break
-        except av.error.EOFError as e:
-            reason = why(e)
-            break
         except (av.error.FFmpegError, OSError) as e:
             reason = why(e)
     raise InputError(

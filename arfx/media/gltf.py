@@ -22,23 +22,7 @@ from arfx.media.model_files import DAMAGED, MAX_FACES, TABLES, ModelFile
 from arfx.media.model_parts import checked, resized, shares
 
 _CONVERT = "npx @gltf-transform/cli"
-_SHAPES = {
-    "SCALAR": 1,
-    "VEC2": 2,
-    "VEC3": 3,
-    "VEC4": 4,
-    "MAT2": 4,
-    "MAT3": 9,
-    "MAT4": 16,
-}
-_KINDS = {
-    5120: "<i1",
-    5121: "<u1",
-    5122: "<i2",
-    5123: "<u2",
-    5125: "<u4",
-    5126: "<f4",
-}
+_ACCESSORS = TABLES["accessors"]
 _WRAPS = {33071: CLAMP, 33648: MIRROR}
 _NEAREST = 9728
 _ROWS = 256  # of a picture, worked on at a time
@@ -92,14 +76,14 @@ class Gltf:
 
         columns : how many there must be, None = any. Raises InputError."""
         accessor = self.header["accessors"][number]
-        count, found = accessor["count"], _SHAPES[accessor["type"]]
+        count, found = accessor["count"], _ACCESSORS[accessor["type"]]
         if not 0 <= count <= 3 * MAX_FACES:
             raise InputError(f"accessor {number} counts {count}", DAMAGED)
         if columns not in (None, found):
             raise InputError(
                 f"accessor {number} is of type {accessor['type']}", DAMAGED
             )
-        out = np.zeros((count, found), _KINDS[accessor["componentType"]])
+        out = np.zeros((count, found), _ACCESSORS[str(accessor["componentType"])])
         if "bufferView" in accessor:
             out[:] = self._values(accessor, count, found)
         if sparse := accessor.get("sparse"):
@@ -114,7 +98,7 @@ class Gltf:
     def _values(self, place: dict[str, Any], count: int, columns: int) -> np.ndarray:
         """place : an accessor, or a part of a sparse one"""
         view = self._views[place["bufferView"]]
-        kind = np.dtype(_KINDS[place["componentType"]])
+        kind = np.dtype(_ACCESSORS[str(place["componentType"])])
         start = view.get("byteOffset", 0) + place.get("byteOffset", 0)
         return np.ndarray(
             (count, columns),
@@ -279,10 +263,14 @@ def _texture(gltf: Gltf, slot: dict[str, Any] | None) -> Texture | None:
     if "sampler" in texture:
         sampler = gltf.header["samplers"][texture["sampler"]]
     across, down = (_WRAPS.get(sampler.get(k, 0), REPEAT) for k in ("wrapS", "wrapT"))
+    angle = float(change.get("rotation", 0))
+    c, s = np.cos(angle), np.sin(angle)
+    wide, high = change.get("scale", (1, 1))
+    x, y = change.get("offset", (0, 0))
     return Texture(
         picture,
         uv_set,
-        _picture_from_uv(change),
+        np.array([[wide * c, high * s, x], [-wide * s, high * c, y]], float),
         (across, down),
         sampler.get("magFilter") == _NEAREST,
     )
@@ -293,15 +281,6 @@ def _stated(tree: dict[str, Any], path: str, default: Any = None) -> Any:
     for key in way:
         tree = tree.get(key, {})
     return tree.get(last, default)
-
-
-def _picture_from_uv(change: dict[str, Any]) -> np.ndarray:
-    """(2, 3) of a KHR_texture_transform."""
-    angle = float(change.get("rotation", 0))
-    c, s = np.cos(angle), np.sin(angle)
-    wide, high = change.get("scale", (1, 1))
-    x, y = change.get("offset", (0, 0))
-    return np.array([[wide * c, high * s, x], [-wide * s, high * c, y]], float)
 
 
 def _metallic(

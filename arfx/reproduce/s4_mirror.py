@@ -10,8 +10,7 @@ from arfx.core.colour import SRGB
 from arfx.core.layers import Layer
 from arfx.core.numerics import normalise
 from arfx.reproduce.work import Clip, Shot
-from arfx.synth.rays import Rays
-from arfx.synth.tracer import radiance
+from arfx.synth.rays import Rays, radiance
 from arfx.synth.world import World
 
 FOOTPRINT_RAD = 0.03  # of a ray: about what a pixel of the ball mirrors

@@ -29,9 +29,8 @@ from arfx.media.images import write_png
 from arfx.synth.description import Marker, SceneFile
 from arfx.synth.encode import ClipFile, VideoFile, measured_steps
 from arfx.synth.picture import Picture, expose, gain_at
-from arfx.synth.rays import LIFT_M
+from arfx.synth.rays import LIFT_M, surfaces
 from arfx.synth.shapes import write_model
-from arfx.synth.tracer import surfaces
 from arfx.synth.truth import (
     DEPTH_UNIT_M,
     FLOW_UNIT_PX,

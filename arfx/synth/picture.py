@@ -14,8 +14,7 @@ from arfx.core.colour import Transfer
 from arfx.core.parallel import parallel_map
 from arfx.core.pose import Pose
 from arfx.synth.description import SceneFile
-from arfx.synth.rays import Rays, Room
-from arfx.synth.tracer import radiance, surfaces
+from arfx.synth.rays import Rays, Room, radiance, surfaces
 from arfx.synth.world import World
 
 # a rolling shutter moves the scene once per band: under 2 px of motion in hand-held footage
@@ -44,7 +43,7 @@ class Picture:
         # (h, w, 2) camera directions at pixel centres shifted by (dx, dy) px; NaN where
         # the lens maps nothing
         self.rays = lru_cache(_KEEP_BYTES // (16 * world.camera.rect.area))(
-            lambda dx, dy: world.camera.normalised(centres + (dx, dy))
+            lambda dx, dy: world.camera.normalised(np.add(centres, (dx, dy)))
         )
 
     def radiance(self, frame: int) -> np.ndarray:
