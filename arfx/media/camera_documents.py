@@ -26,6 +26,7 @@ from arfx.core.opener import (
     parse_json,
     read_bytes,
 )
+from arfx.errors import InputError
 
 SUPPORTED = (
     "OpenCV YAML, XML or JSON (camera_matrix, distortion_coefficients, image_width,"
@@ -39,13 +40,9 @@ _COLMAP_CENTRE_PX = 0.5
 _COLMAP_ROW = re.compile(r"\d+ [A-Z][A-Z_]+ ")
 
 
-class CameraFileError(Exception):
-    """A camera file that is not read.
-
-    what : is wrong;  hint : what would be right"""
-
-    def __init__(self, what: str, hint: str = f"supported: {SUPPORTED}") -> None:
-        self.what, self.hint = what, hint
+class CameraFileError(InputError):
+    """A camera file that is not read: what is wrong; and, unless a format of SUPPORTED would
+    be right, what would be."""
 
 
 class _Loader(yaml.SafeLoader):

@@ -24,6 +24,7 @@ from arfx.core.camera import BROWN, FISHEYE, Camera
 from arfx.core.guard import atomic_write
 from arfx.errors import InputError
 from arfx.media.camera_documents import (
+    SUPPORTED,
     TABLES,
     CameraFileError,
     number,
@@ -63,7 +64,9 @@ def load_camera(path: str | Path) -> Camera:
         camera = _from_names(document, str(path))
         _check(camera)
     except CameraFileError as e:
-        raise InputError(f"camera file {path}: {e.what}", e.hint) from None
+        raise InputError(
+            f"camera file {path}: {e.message}", e.hint or f"supported: {SUPPORTED}"
+        ) from None
     return camera
 
 
@@ -242,7 +245,7 @@ def calibration_claims(path: str | Path) -> dict[str, Any]:
     """
     try:
         flat = _flat(read_document(Path(path)))
-    except (InputError, CameraFileError):  # one camera of a file that holds several
+    except InputError:  # one camera of a file that holds several
         return {}
     kinds = {"verdict": str, "reasons": list}
     out = {

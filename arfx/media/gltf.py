@@ -8,7 +8,6 @@ Unlit materials become emission, specular-glossiness becomes metallic-roughness.
 from __future__ import annotations
 
 import base64
-import struct
 from dataclasses import replace
 from typing import Any
 
@@ -39,11 +38,18 @@ class Gltf:
 
     def __init__(self, file: ModelFile) -> None:
         self.file = file
-        text, self._chunk = (
-            _chunks(file.data) if file.kind == "glb" else (file.data, b"")
-        )
+        data, self._chunk = (
+            file.data,
+            b"",
+        )  # the second: behind the JSON of a GLB file
+        if file.kind == "glb":
+            if len(data) < 20 or data[:4] != b"glTF":
+                raise InputError("it does not begin as a GLB file", DAMAGED)
+            end = 20 + int.from_bytes(data[12:16], "little")
+            size = int.from_bytes(data[end : end + 4], "little")
+            data, self._chunk = data[20:end], data[end + 8 : end + 8 + size]
         try:
-            self.header: dict[str, Any] = parse_json(text.decode("utf-8-sig"))
+            self.header: dict[str, Any] = parse_json(data.decode("utf-8-sig"))
         except ValueError as e:
             raise InputError(f"its JSON: {e}", DAMAGED) from None
         _check(self.header, file)
@@ -107,15 +113,6 @@ class Gltf:
             start,
             (view.get("byteStride", kind.itemsize * columns), kind.itemsize),
         )
-
-
-def _chunks(data: bytes) -> tuple[bytes, bytes]:
-    """The JSON of a GLB file, and what is behind it; nothing where there is none."""
-    if len(data) < 20 or data[:4] != b"glTF":
-        raise InputError("it does not begin as a GLB file", DAMAGED)
-    end = 20 + struct.unpack_from("<I", data, 12)[0]
-    size = struct.unpack_from("<I", data, end)[0] if end + 8 <= len(data) else 0
-    return data[20:end], data[end + 8 : end + 8 + size]
 
 
 def _check(header: dict[str, Any], file: ModelFile) -> None:

@@ -36,12 +36,13 @@ from arfx.media.model_parts import (
 )
 
 _MTL = TABLES["mtl"]
+_OTHER_MAPS = tuple(_MTL["other_maps"])
 _GREY = 0.4  # display colour of a material that states neither Kd nor a map
 _SHEEN_ROUGHNESS = 0.5  # MTL has none
 _NUMBER = r"\s+[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?(?!\S)"
 # Of a map, with its value: one word, or as many numbers as there may be.
 _OPTION = re.compile(
-    rf"-(?:[sot](?:{_NUMBER}){{0,3}}|mm(?:{_NUMBER}){{0,2}}"
+    rf"-(?:halo|[sot](?:{_NUMBER}){{0,3}}|mm(?:{_NUMBER}){{0,2}}"
     r"|(?:clamp|imfchan|cc|bm|boost|blendu|blendv|texres|type)\s+\S+)(?:\s+|$)",
     re.IGNORECASE,
 )
@@ -189,107 +190,93 @@ def mtl_material(
     """Of the lines below `newmtl`. left_out : gets what is, as keys
 
     Raises InputError: numbers out of range, a texture too large or damaged."""
-    m = _Statements(file, lines, left_out)
-    base, glow = m.texture("map_kd"), m.texture("map_ke")
-    rough, metal = m.texture("map_pr"), m.texture("map_pm")
-    bumps = next((k for k in ("norm", "map_bump", "bump") if k in m.stated), "norm")
-    normal = m.texture(bumps)
+    stated = _stated(lines)
+    of_base = [*stated["map_kd"][1:]]
+    for key, (written, *told) in stated.items():
+        unread = key.startswith(_OTHER_MAPS) and key not in _MTL["maps"]
+        if unread and not (key == "map_ka" and told == of_base):
+            left_out[written] = None
+
+    def listed(key: str) -> list[float]:
+        written, _, value = stated[key]
+        value = value.split("#")[0].strip()
+        out = numbers(value.split())
+        if value and not out:
+            left_out[f"{written} {value[:40]}"] = None
+        return out
+
+    def number(key: str, default: float) -> float:
+        return (listed(key) or [default])[0]
+
+    def colour(key: str, default: float) -> tuple[float, float, float]:
+        # one number stands for all
+        red, green, blue = np.resize(listed(key)[:3] or [default], 3).tolist()
+        return red, green, blue
+
+    def texture(key: str) -> Texture | None:
+        written, options, where = stated[key]
+        for option, words in options.items():
+            if option not in _MTL["read"] and words[:1] != ["off"]:
+                left_out[f"{option} of {written}"] = None
+        picture = file.picture(where) if where else None
+        if picture is None:
+            return None
+        wide, high = (*numbers(options.get("-s", [])), 1.0, 1.0)[:2]
+        x, y = (*numbers(options.get("-o", [])), 0.0, 0.0)[:2]
+        # an MTL file counts v from the bottom
+        matrix = np.array([[wide, 0, x], [0, high, 1 - high - y]], float)
+        wrap = CLAMP if options.get("-clamp") == ["on"] else REPEAT
+        return Texture(picture, 0, matrix, (wrap, wrap))
+
+    base, glow = texture("map_kd"), texture("map_ke")
+    rough, metal = texture("map_pr"), texture("map_pm")
+    bumps = next((k for k in ("norm", "map_bump", "bump") if k in stated), "norm")
+    normal = texture(bumps)
     if normal is not None and (np.ptp(normal.picture[..., :3], axis=-1) == 0).all():
-        left_out[f"grey heights of {m.stated[bumps][0]}"] = None
+        left_out[f"grey heights of {stated[bumps][0]}"] = None
         normal = None
-    display = m.colour("kd", _GREY if base is None else 1.0)
-    shares = np.clip([*display, m.number("d", 1.0), m.number("ps", 0.0)], 0, 1)
+    display = colour("kd", _GREY if base is None else 1.0)
+    shares = np.clip([*display, number("d", 1.0), number("ps", 0.0)], 0, 1)
     red, green, blue = SRGB.decode(shares[:3]).tolist()
     alpha, sheen = shares[3:].tolist()
-    shine = 2.0 / (max(m.number("ns", 0.0), 0.0) + 2.0)
+    shine = 2.0 / (max(number("ns", 0.0), 0.0) + 2.0)
     material = Material(
         name=name,
         base_colour=(red, green, blue, alpha),
         base_texture=base,
-        metallic=m.number("pm", 0.0) if metal is None else 1.0,
-        roughness=max(m.number("pr", shine**0.25), 0.05) if rough is None else 1.0,
+        metallic=number("pm", 0.0) if metal is None else 1.0,
+        roughness=max(number("pr", shine**0.25), 0.05) if rough is None else 1.0,
         metallic_roughness_texture=_joined(rough, metal),
-        emissive=m.colour("ke", 0.0 if glow is None else 1.0),
+        emissive=colour("ke", 0.0 if glow is None else 1.0),
         emissive_texture=glow,
         alpha_mode=BLEND if alpha < 1.0 else OPAQUE,
         double_sided=True,  # nobody promises an OBJ's winding
         normal_texture=normal,
-        normal_scale=(m.options(bumps, "-bm") or [1.0])[0],
-        clearcoat=m.number("pc", 0.0),
-        clearcoat_roughness=m.number("pcr", 0.0),
+        normal_scale=(numbers(stated[bumps][1].get("-bm", [])) or [1.0])[0],
+        clearcoat=number("pc", 0.0),
+        clearcoat_roughness=number("pcr", 0.0),
         sheen_colour=(sheen, sheen, sheen),
         sheen_roughness=_SHEEN_ROUGHNESS,
     )
     return checked(material)
 
 
-class _Statements:
-    """What one material states, the last of each kind.
-
-    stated : by its key in lower case how it is written, and its value"""
-
-    def __init__(
-        self, file: ModelFile, lines: Iterable[str], left_out: dict[str, None]
-    ) -> None:
-        self._file, self._left_out = file, left_out
-        rows = (row for line in lines if len(row := line.split(None, 1)) == 2)
-        self.stated: dict[str, tuple[str, str]] = defaultdict(lambda: ("", ""))
-        self.stated.update((key.lower(), (key, value.strip())) for key, value in rows)
-        base = self.stated["map_kd"][1]
-        for key, (written, value) in self.stated.items():
-            unread = (
-                key.startswith(tuple(_MTL["other_maps"])) and key not in _MTL["maps"]
-            )
-            if unread and not (key == "map_ka" and value == base):
-                left_out[written] = None
-
-    def _numbers(self, key: str) -> list[float]:
-        """[] where it is not stated, or no number."""
-        written, value = self.stated[key]
-        value = value.split("#")[0].strip().removeprefix("-halo").strip()
-        out = numbers(value.split())
-        if value and not out:
-            self._left_out[f"{written} {value[:40]}"] = None
-        return out
-
-    def number(self, key: str, default: float) -> float:
-        return (self._numbers(key) or [default])[0]
-
-    def colour(self, key: str, default: float) -> tuple[float, float, float]:
-        """One number stands for all."""
-        red, green, blue = np.resize(self._numbers(key)[:3] or [default], 3).tolist()
-        return red, green, blue
-
-    def options(self, key: str, option: str) -> list[float]:
-        """Numbers of an option of a map."""
-        return numbers(_options(self.stated[key][1])[0].get(option, []))
-
-    def texture(self, key: str) -> Texture | None:
-        """`map_Kd -s 2 2 -o .5 0 name of a file.png`. Raises InputError."""
-        written, value = self.stated[key]
-        options, name = _options(value)
-        for option, words in options.items():
-            if option not in _MTL["read"] and words[:1] != ["off"]:
-                self._left_out[f"{option} of {written}"] = None
-        picture = self._file.picture(name) if name else None
-        if picture is None:
-            return None
-        wide, high = (*self.options(key, "-s"), 1.0, 1.0)[:2]
-        x, y = (*self.options(key, "-o"), 0.0, 0.0)[:2]
-        # an MTL file counts v from the bottom
-        matrix = np.array([[wide, 0, x], [0, high, 1 - high - y]], float)
-        wrap = CLAMP if options.get("-clamp") == ["on"] else REPEAT
-        return Texture(picture, 0, matrix, (wrap, wrap))
-
-
-def _options(value: str) -> tuple[dict[str, list[str]], str]:
-    """Options of a map with their values, and the name of its file, which may hold blanks."""
-    options: dict[str, list[str]] = {}
-    while found := _OPTION.match(value):
-        option, *words = found[0].lower().split()
-        options[option] = words
-        value = value[found.end() :]
-    return options, value
+def _stated(lines: Iterable[str]) -> dict[str, tuple[str, dict[str, list[str]], str]]:
+    """By its key in lower case, the last of each kind: how it is written, the options of a
+    map (`map_Kd -s 2 2 -o .5 0 name of a file.png`), and its value."""
+    stated = defaultdict[str, tuple[str, dict[str, list[str]], str]](
+        lambda: ("", {}, "")
+    )
+    for line in lines:
+        written, _, value = line.strip().replace("\t", " ").partition(" ")
+        options, value = dict[str, list[str]](), value.strip()
+        if not value:
+            continue
+        while found := _OPTION.match(value):
+            option, *words = found[0].lower().split()
+            options[option], value = words, value[found.end() :]
+        stated[written.lower()] = written, options, value
+    return stated
 
 
 def _joined(rough: Texture | None, metal: Texture | None) -> Texture | None:

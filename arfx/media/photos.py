@@ -75,6 +75,7 @@ def write_photo(part: Path, chunk: Path, source: Path, suffix: str) -> None:
 
     source : the photo whose colour profile and EXIF it gets;  suffix : of the kind, one of WRITTEN
     """
+    import cv2
     from PIL import Image
 
     with av.open(ffmpeg_url(chunk)) as container:
@@ -83,7 +84,13 @@ def write_photo(part: Path, chunk: Path, source: Path, suffix: str) -> None:
         rgb = frame.to_ndarray(format="rgb48le" if deep else "rgb24")
     profile, exif = _origin(source)
     if suffix == ".png":
-        part.write_bytes(_png(rgb, profile, exif.removeprefix(b"Exif\0\0")))
+        data = cv2.imencode(suffix, rgb[..., ::-1])[1].tobytes()
+        chunks = b""
+        if profile:
+            chunks += _png_chunk(b"iCCP", b"icc\0\0" + zlib.compress(profile))
+        if exif:
+            chunks += _png_chunk(b"eXIf", exif.removeprefix(b"Exif\0\0"))
+        part.write_bytes(data[:_IHDR_END] + chunks + data[_IHDR_END:])
         return
     Image.fromarray(rgb).save(
         part,
@@ -112,19 +119,6 @@ def _origin(source: Path) -> tuple[bytes, bytes]:
             ) or b"", exif.tobytes() if exif else b""
     except Exception:  # whatever its header holds: the pixels were read
         return b"", b""
-
-
-def _png(rgb: np.ndarray, profile: bytes, exif: bytes) -> bytes:
-    """PNG file of (h, w, 3) uint8 or uint16, with both behind its header."""
-    import cv2
-
-    data = cv2.imencode(".png", rgb[..., ::-1])[1].tobytes()
-    chunks = b""
-    if profile:
-        chunks += _png_chunk(b"iCCP", b"icc\0\0" + zlib.compress(profile))
-    if exif:
-        chunks += _png_chunk(b"eXIf", exif)
-    return data[:_IHDR_END] + chunks + data[_IHDR_END:]
 
 
 def _png_chunk(kind: bytes, content: bytes) -> bytes:

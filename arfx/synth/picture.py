@@ -99,7 +99,14 @@ class Picture:
         pixels, rays = np.argwhere(chosen), self.rays(*place)
         rows, roll = len(chosen), self.world.scene.hidden.rolling_shutter_s
         cuts = np.searchsorted(pixels[:, 0], range(_BAND_ROWS, rows, _BAND_ROWS))
-        seen, spans = cache(partial(self._seen, frame)), footprint * _spans(rays)
+        seen = cache(partial(self._seen, frame))
+        # what pixels span, right and down, as camera directions without z
+        right = np.diff(rays, axis=1, append=rays[:, -2:-1])
+        down = np.diff(rays, axis=0, append=rays[-2:-1])
+        # a neighbour beyond the lens's field: assume square pixels
+        right = np.where(np.isfinite(right), right, down[..., ::-1] * [1, -1])
+        down = np.where(np.isfinite(down), down, right[..., ::-1] * [-1, 1])
+        spans = footprint * np.nan_to_num(np.stack([right, down], 2))
 
         def one(part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             at = tuple(part.T)
@@ -183,16 +190,6 @@ class Picture:
 def _pixels(shape: tuple[int, ...]) -> np.ndarray:
     """(h, w, 2) x and y of every pixel's centre."""
     return np.dstack([*np.indices(shape, float)[::-1]])
-
-
-def _spans(rays: np.ndarray) -> np.ndarray:
-    """(h, w, 2, 2) what pixels span, right and down, as camera directions without z."""
-    right = np.diff(rays, axis=1, append=rays[:, -2:-1])
-    down = np.diff(rays, axis=0, append=rays[-2:-1])
-    # a neighbour beyond the lens's field: assume square pixels
-    right = np.where(np.isfinite(right), right, down[..., ::-1] * [1, -1])
-    down = np.where(np.isfinite(down), down, right[..., ::-1] * [-1, 1])
-    return np.nan_to_num(np.stack([right, down], 2))
 
 
 def _noise(seed: int, numbers: np.ndarray) -> np.ndarray:

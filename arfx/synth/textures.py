@@ -170,8 +170,15 @@ def environment_picture(source: str | Path, folder: Path | None = None) -> np.nd
     """(h, 2h, 3) float64 linear radiance. `source`: "studio", "sunset" or an .hdr file
     beside the scene. Raises InputError if the file cannot be read or holds values that are
     not finite and >= 0."""
-    if str(source) in _ROOMS:
-        return _made(str(source))
+    if (room := _ROOMS.get(str(source))) is not None:
+        towards, _ = _directions(128, 256)
+        up = towards[..., 2:]
+        parts = np.dstack([up**0, (1 - np.abs(up)) ** 3, np.abs(up)])
+        made = np.where(up > 0, *(parts @ np.array(half) for half in room["halves"]))
+        for lamp in room["lamps"]:
+            aside = towards @ normalise(np.array(lamp["towards"]))
+            made[aside > np.cos(np.radians(lamp["radius_deg"]))] = lamp["rgb"]
+        return made
     path = (folder or Path()) / source
     rgb = decode_picture(path, "image", cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)[
         ..., ::-1
@@ -181,18 +188,6 @@ def environment_picture(source: str | Path, folder: Path | None = None) -> np.nd
             f"environment {path} holds values that are not finite and >= 0"
         )
     return cv2.resize(rgb, (256, 128), interpolation=cv2.INTER_AREA)
-
-
-def _made(name: str) -> np.ndarray:
-    towards, _ = _directions(128, 256)
-    up = towards[..., 2:]
-    parts = np.dstack([up**0, (1 - np.abs(up)) ** 3, np.abs(up)])
-    halves = (parts @ np.array(half) for half in _ROOMS[name]["halves"])
-    picture = np.where(up > 0, *halves)
-    for lamp in _ROOMS[name]["lamps"]:
-        aside = towards @ normalise(np.array(lamp["towards"]))
-        picture[aside > np.cos(np.radians(lamp["radius_deg"]))] = lamp["rgb"]
-    return picture
 
 
 def _directions(h: int, w: int) -> tuple[np.ndarray, np.ndarray]:
