@@ -371,7 +371,7 @@ def missing_frames(
     if len(shown) < 3:
         return []
     steps, usual = _steps(shown)
-    steady = gaps and np.mean(np.abs(steps - usual) <= usual / 4) >= 0.9
+    steady = int(gaps and np.mean(np.abs(steps - usual) <= usual / 4) >= 0.9)
     found = []
     for k in np.flatnonzero(steps > 2 * _APART * usual).tolist():
         lost = stated[
@@ -379,8 +379,7 @@ def missing_frames(
                 stated, shown[k + 1] - _APART * usual
             )
         ]
-        gap = round(steps[k] / usual) - 1 if steady and steps[k] >= 1.5 * usual else 0
-        if count := max(len(lost), gap):
+        if count := max(len(lost), steady * (round(steps[k] / usual) - 1)):
             found.append((lost[0] if lost else round(shown[k] + usual), count))
     return found
 

@@ -267,8 +267,7 @@ def _copied_packets(
         if last.get(number, time) - time > JUMP_S:
             jumps[number] += 1
             if not shifts:
-                with ClipReader(info) as reader:
-                    shifts += reader.shifts() or [0]
+                shifts += ClipReader(info).shifts() or [0]
         last[number] = time
         if jumps[number]:
             shift = shifts[min(jumps[number], len(shifts)) - 1] * info.time_base
@@ -328,9 +327,6 @@ def _gather(chunks: Sequence[Path], count: int, part: Path) -> None:
 def _place_folder(part: Path, folder: Path) -> None:
     """A new folder appears at once. One that exists keeps its other files; each image is
     replaced in one step."""
-    empty = folder.is_dir() and not any(folder.iterdir())
-    if empty and not folder.samefile(Path.cwd()):
-        folder.rmdir()
     if not folder.exists():
         part.replace(folder)
         return

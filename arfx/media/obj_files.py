@@ -67,8 +67,8 @@ def obj_meshes(file: ModelFile) -> Iterator[Placed]:
     rows: dict[str, list[str]] = {"v": [], "vt": [], "vn": [], "mtllib": []}
     faces_of: dict[str, list[str]] = {}
     faces = faces_of.setdefault("", [])
-    text = re.sub(r"\\\r?\n", " ", decoded(file.data)).replace("\t", " ")
-    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    text = io.StringIO(decoded(file.data), None).read()  # with line ends of one kind
+    text = text.replace("\\\n", " ").replace("\t", " ")
     # ten lines of a face: its own, three corners with place, coordinates and normal each
     file.check_counts(text.count("\n") // 10)
     for line in io.StringIO(text):
