@@ -68,54 +68,35 @@ class Room(NamedTuple):
 
 
 @line_kernel(error_model="numpy")
-def _rectangle_distance(start, towards, rects, i, farthest):
-    """Where a ray meets rectangle i, in units of `towards`; `farthest` if not before.
-    Without a division but for a ray that meets it: both sides are times |towards·n|."""
-    offset, normal = minus(vector(rects[i]), start), vector(rects[i, 9:])
-    rise, away = dot(towards, normal), dot(offset, normal)
-    if rise < 0.0:
-        rise, away = -rise, -away
-    if away <= 1e-9 * rise or away >= farthest * rise:
-        return farthest
-    for axis in range(2):
-        across = vector(rects[i, 3 + 3 * axis :])
-        missed = abs(away * dot(towards, across) - dot(offset, across) * rise)
-        if missed > rects[i, 12 + axis] * rise:
-            return farthest
-    return away / rise
-
-
-@line_kernel(error_model="numpy")
-def _sphere_distance(start, towards, spheres, i, farthest):
-    """Where a ray meets sphere i, in units of `towards`; `farthest` if not before."""
-    offset, squared = minus(vector(spheres[i]), start), dot(towards, towards)
-    middle = dot(offset, towards) / squared
-    across = shifted(offset, -middle, towards)
-    inside = spheres[i, 3] * spheres[i, 3] - dot(across, across)
-    if inside <= 0.0:
-        return farthest
-    half = math.sqrt(inside / squared)
-    distance = middle - half if middle - half > 1e-9 else middle + half
-    return distance if 1e-9 < distance < farthest else farthest
-
-
-@line_kernel(error_model="numpy")
 def _intersect(start, towards, rects, spheres, any_hit):
     """(distance in units of `towards`, or FAR; index of the surface along a ray, a sphere's
-    counted on behind the rectangles): the nearest, or with `any_hit` the first that is found.
-    """
-    best, index = FAR, -1
-    for i in range(rects.shape[0] + spheres.shape[0]):
-        if i < rects.shape[0]:
-            distance = _rectangle_distance(start, towards, rects, i, best)
-        else:
-            distance = _sphere_distance(
-                start, towards, spheres, i - rects.shape[0], best
-            )
-        if distance < best:
-            best, index = distance, i
+    counted on behind the rectangles): the nearest, or with `any_hit` any that is found."""
+    best, index, count = FAR, -1, rects.shape[0]
+    for i in range(count):
+        offset, normal = minus(vector(rects[i]), start), vector(rects[i, 9:])
+        rise, away = dot(towards, normal), dot(offset, normal)
+        if rise < 0.0:
+            rise, away = -rise, -away
+        # without a division but where it is met: both sides are times |towards·n|
+        inside = 1e-9 * rise < away < best * rise
+        for axis in range(2):
+            across = vector(rects[i, 3 + 3 * axis :])
+            missed = abs(away * dot(towards, across) - dot(offset, across) * rise)
+            inside = inside and missed <= rects[i, 12 + axis] * rise
+        if inside:
+            best, index = away / rise, i
             if any_hit:
                 break
+    squared = dot(towards, towards)
+    for i in range(spheres.shape[0]):
+        offset = minus(vector(spheres[i]), start)
+        middle = dot(offset, towards) / squared
+        across = shifted(offset, -middle, towards)
+        within = spheres[i, 3] * spheres[i, 3] - dot(across, across)
+        half = math.sqrt(max(within, 0.0) / squared)
+        distance = middle - half if middle - half > 1e-9 else middle + half
+        if within > 0.0 and 1e-9 < distance < best:
+            best, index = distance, count + i
     return best, index
 
 
