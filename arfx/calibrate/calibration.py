@@ -130,8 +130,11 @@ def find_board(
         )
     usual = _usual_kind(kinds, notices)
     views = [v for v in views if v.name in usual]
-    seen = [(name, seen_instead(gray, spec)) for name, gray in samples]
-    instead = tuple(f"{name}: {what}" for name, what in seen if what)
+    instead = tuple(
+        f"{name}: {what}"
+        for name, gray in samples
+        if (what := seen_instead(gray, spec))
+    )
     if not views:
         saw = "no other board or marker either"
         if instead:

@@ -158,9 +158,9 @@ def corner_sharpness(gray: np.ndarray, pixels: np.ndarray) -> float:
     """Steepest grey step per pixel around the corners over the contrast there: 1 / edge
     width in px, ~0.5 sharp, 0 blurred.
     """
-    places = np.round(pixels).tolist()
     patches = np.array(
-        [cv2.getRectSubPix(gray, (11, 11), at) for at in places], float
+        [cv2.getRectSubPix(gray, (11, 11), at) for at in np.round(pixels).tolist()],
+        float,
     )
     slopes = np.percentile(np.hypot(*np.gradient(patches, axis=(1, 2))), 95, (1, 2))
     low, high = np.percentile(patches, (5, 95), (1, 2))

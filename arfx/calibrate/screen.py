@@ -96,8 +96,10 @@ def reject_views(
         return np.array([typical_px(pose_residual(v, camera)) for v in views])
 
     rng = np.random.default_rng(0)
-    picks = (rng.permutation(len(views))[:SUBSET_SIZE] for _ in range(SUBSETS))
-    tries = [errors_by([views[i] for i in pick]) for pick in picks]
+    tries = [
+        errors_by([views[i] for i in rng.permutation(len(views))[:SUBSET_SIZE]])
+        for _ in range(SUBSETS)
+    ]
     # A majority must agree; what the others say does not matter. A small subset must be
     # clearly better: its intrinsics are weaker, so equal agreement speaks for all views.
     tries.append(0.7 * errors_by(views))

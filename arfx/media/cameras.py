@@ -111,8 +111,9 @@ def _from_names(document: Mapping[str, Any], where: str) -> Camera:
         lens = lens[:4]
     if 0 < lens.size < 4:  # "k1" or "k1, k2": the rest is zero
         lens = np.append(lens, np.zeros(4))[:4]
-    model = FISHEYE if fisheye else BROWN
-    return Camera(*_size(flat), matrix.reshape(3, 3), lens, model, where)
+    return Camera(
+        *_size(flat), matrix.reshape(3, 3), lens, FISHEYE if fisheye else BROWN, where
+    )
 
 
 def _size(flat: Mapping[str, Any]) -> tuple[int, int]:
@@ -247,10 +248,9 @@ def calibration_claims(path: str | Path) -> dict[str, Any]:
         flat = _flat(read_document(Path(path)))
     except InputError:  # one camera of a file that holds several
         return {}
-    kinds = {"verdict": str, "reasons": list}
     out = {
         key: flat[key]
-        for key, kind in kinds.items()
+        for key, kind in {"verdict": str, "reasons": list}.items()
         if isinstance(flat.get(key), kind)
     }
     with contextlib.suppress(TypeError, ValueError):

@@ -211,8 +211,14 @@ def open_depth(
             hint = f"{_KINDS}; a folder of them; or a video of 16-bit grey (FFV1)"
             raise InputError(f"depth {path} is not a depth map", hint)
         return DepthMaps(path, (path,), 1, steps_per_m, start_s)
-    inside = folder_entries(path, "depth folder")
-    found = sorted((p for p in inside if p.suffix.lower() in SUFFIXES), key=_natural)
+    found = sorted(
+        (
+            p
+            for p in folder_entries(path, "depth folder")
+            if p.suffix.lower() in SUFFIXES
+        ),
+        key=_natural,
+    )
     if not found:
         raise InputError(f"depth folder {path} holds no depth map", _KINDS)
     for p in found:
@@ -235,8 +241,9 @@ def open_depth(
 
 def _natural(path: Path) -> tuple[list[int | str], str]:
     """2 before 10."""
-    parts = re.split(r"(\d+)", path.stem)
-    return [int(p) if p.isdecimal() else p for p in parts], path.name
+    return [
+        int(p) if p.isdecimal() else p for p in re.split(r"(\d+)", path.stem)
+    ], path.name
 
 
 def fill_holes(depth_m: np.ndarray, guide: np.ndarray) -> np.ndarray:

@@ -194,8 +194,9 @@ def checked(material: Material) -> Material:
     colours = (material.base_colour, material.emissive, material.sheen_colour)
     if [len(colour) for colour in colours] != [4, 3, 3]:
         raise ValueError
-    given = vars(material).values()
-    numbers = [np.ravel(x) for x in given if isinstance(x, (float, tuple))]
+    numbers = [
+        np.ravel(x) for x in vars(material).values() if isinstance(x, (float, tuple))
+    ]
     numbers += [t.picture_from_uv.ravel() for t in material.textures.values()]
     if not (np.abs(np.concatenate(numbers)) <= _BRIGHTEST).all():
         what = (

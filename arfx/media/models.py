@@ -107,8 +107,7 @@ def _read(file: ModelFile) -> list[Part]:
         placed.append(found)
         faces += len(found[0])
         file.check_counts(faces, len(placed))
-    made = [part_of(*found) for found in placed]
-    parts = [part for part in made if part is not None]
+    parts = [part for found in placed if (part := part_of(*found)) is not None]
     if lost := faces - sum(len(part.faces) for part in parts):
         file.notices.append(f"{lost} faces without area left out")
     if not parts:

@@ -172,8 +172,12 @@ def _triangles(lines: list[str]) -> tuple[np.ndarray, np.ndarray]:
     """Faces as fans: (m, 3) numbers of corners, and of these (k, 3) what the file counts by:
     place, texture coordinates, normal; 0 = none."""
     faces = [line.partition("#")[0].split() for line in lines]
-    pairs = ((face[0], pair) for face in faces for pair in pairwise(face[1:]))
-    fans = [word for first, pair in pairs for word in (first, *pair)]
+    fans = [
+        word
+        for face in faces
+        for pair in pairwise(face[1:])
+        for word in (face[0], *pair)
+    ]
     number = dict(zip(dict.fromkeys(fans), count(), strict=False))
     filled = (word.rstrip("/").replace("//", "/0/") for word in number)
     return np.array([number[word] for word in fans], int).reshape(-1, 3), np.array(
@@ -235,8 +239,15 @@ def mtl_material(
     if normal is not None and (np.ptp(normal.picture[..., :3], axis=-1) == 0).all():
         left_out[f"grey heights of {stated[bumps][0]}"] = None
         normal = None
-    display = colour("kd", _GREY if base is None else 1.0)
-    shares = np.clip([*display, number("d", 1.0), number("ps", 0.0)], 0, 1)
+    shares = np.clip(
+        [
+            *colour("kd", _GREY if base is None else 1.0),
+            number("d", 1.0),
+            number("ps", 0.0),
+        ],
+        0,
+        1,
+    )
     red, green, blue = SRGB.decode(shares[:3]).tolist()
     alpha, sheen = shares[3:].tolist()
     shine = 2.0 / (max(number("ns", 0.0), 0.0) + 2.0)

@@ -65,8 +65,10 @@ class CameraPath:
                 "a pose for each frame, or at least several a second",
             )
         near_s, taken_s = 0.5 * spacing + _ROUNDING_S, np.array(self.times_s)
-        matches = match_by_time(taken_s, times_s, near_s, gap_s + spacing)
-        return [None if m is None else (self._between(m), m.near) for m in matches]
+        return [
+            None if m is None else (self._between(m), m.near)
+            for m in match_by_time(taken_s, times_s, near_s, gap_s + spacing)
+        ]
 
     def _between(self, m: Match) -> Pose:
         first, second = (

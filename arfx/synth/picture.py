@@ -124,8 +124,9 @@ class Picture:
                 room,
             )
 
-        parts = filter(len, np.split(pixels, cuts))
-        light, met = zip(*parallel_map(one, parts), strict=True)
+        light, met = zip(
+            *parallel_map(one, filter(len, np.split(pixels, cuts))), strict=True
+        )
         return np.concatenate(light), np.concatenate(met)
 
     def _through_lens(

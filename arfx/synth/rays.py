@@ -236,12 +236,11 @@ def radiance(rays: Rays, room: Room) -> tuple[np.ndarray, np.ndarray]:
         away = (numbers == 1) & np.isfinite(rays.towards[:, 0])
         height, width = room.sky.shape[:2]
         x, y, up = normalise(rays.towards[away]).T
-        column = ((0.5 - np.arctan2(y, x) / (2 * np.pi)) * width).astype(int) % width
         light[away] = room.sky[
             np.minimum(
                 ((0.5 - np.arcsin(up) / np.pi) * height).astype(int), height - 1
             ),
-            column,
+            ((0.5 - np.arctan2(y, x) / (2 * np.pi)) * width).astype(int) % width,
         ]
     return light, numbers
 

@@ -51,8 +51,9 @@ class World:
         self.camera = true_camera(scene)
         n = np.arange(scene.frames, dtype=float)
         if scene.clip.frame_times == "variable":
-            rng = np.random.default_rng([scene.seed, 90_000])
-            n[1:-1] += rng.uniform(-0.35, 0.35, n[1:-1].shape)
+            n[1:-1] += np.random.default_rng([scene.seed, 90_000]).uniform(
+                -0.35, 0.35, n[1:-1].shape
+            )
         # on the clip's 1/90000 s clock
         self.frame_times_s = np.round(n / scene.clip.fps * 90_000) / 90_000
         self.shots = np.repeat(
@@ -167,9 +168,11 @@ def _room(scene: SceneFile, folder: Path | None) -> Room:
             assert isinstance(p, (Plane, Box))
             size_m[: len(p.size_m)] = p.size_m
             x, y, z = size_m.tolist()
-            covered = (max(x, y), max(y, z)) if isinstance(p, Box) else (x, y)
             picture = texture_albedo(
-                p.texture, covered, scene.seed * 1000 + number - 1, folder
+                p.texture,
+                (max(x, y), max(y, z)) if isinstance(p, Box) else (x, y),
+                scene.seed * 1000 + number - 1,
+                folder,
             )
             smallest = float(isinstance(p, Box) or p.texture.kind != "checker")
         half = size_m / 2
@@ -239,8 +242,9 @@ def camera_from_room(
     target, position = np.array([path.target_m, path.position_m], float)
     share = _share(time_s, duration_s)
     if path.kind == "orbit":
-        ends = np.radians([path.azimuth_deg, path.elevation_deg])
-        position = target + path.radius_m * direction_of(*(ends @ (1 - share, share)))
+        position = target + path.radius_m * direction_of(
+            *(np.radians([path.azimuth_deg, path.elevation_deg]) @ (1 - share, share))
+        )
     elif path.kind == "dolly":
         ease = smoothstep(share)
         position = (1 - ease) * position + ease * np.asarray(path.end_m)
