@@ -5,6 +5,7 @@ hold."""
 from __future__ import annotations
 
 import os
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -34,21 +35,10 @@ CONTAINERS = (
 )
 _OPTIONS = {"format_whitelist": CONTAINERS, "protocol_whitelist": "file"}
 MAX_SIDE = 8192  # of a frame: a picture of this square in linear light takes 800 MB
-_PICTURES = (
-    b"\x89PNG",
-    b"\xff\xd8\xff",
-    b"II*\0",
-    b"MM\0*",
-    b"II+\0",
-    b"MM\0+",
-    b"BM",
-    b"v/1\x01",
-    b"#?RADIANCE",
-    b"\0\0\0\x0cjP  ",
-    b"P5\n",
-    b"P6\n",
-    b"8BPS",
-    b"%!PS",
+_PICTURE = re.compile(
+    rb"\x89PNG|\xff\xd8\xff|II[*+]\0|MM\0[*+]|BM|v/1\x01|#\?RADIANCE|\0\0\0\x0cjP  |P[56]\n"
+    rb"|8BPS|%!PS|.{8}WEBP",
+    re.DOTALL,
 )
 
 
@@ -175,7 +165,7 @@ def _diagnose(path: Path) -> tuple[str, str]:
         head = f.read(1024)
     if not head:
         return "it is empty", "is the recording complete?"
-    if head.startswith(_PICTURES) or head[8:12] == b"WEBP":
+    if _PICTURE.match(head):
         return "it is a picture of a kind that is not read", "save it as PNG or JPEG"
     if all(b >= 32 or b in b"\t\r\n\f" for b in head.removeprefix(b"\xef\xbb\xbf")):
         return (

@@ -14,19 +14,11 @@ from arfx.core.numerics import normalise
 from arfx.core.pose import rotation_from_quaternion
 from arfx.errors import InputError
 from arfx.media.gltf import Gltf, gltf_material
-from arfx.media.model_files import NO_TRIANGLES, ModelFile
+from arfx.media.model_files import NO_TRIANGLES, TABLES, ModelFile
 from arfx.media.model_parts import Placed, Rows, plain_material, unit_colours
 
 _TRIANGLES, _STRIP = 4, 5
-_ROWS = {
-    "POSITION": ("vertices", 3),
-    "NORMAL": ("normals", 3),
-    "TANGENT": ("tangents", 4),
-    "TEXCOORD_0": ("uv", 2),
-    "TEXCOORD_1": ("second_uv", 2),
-}
 _PLACES = ("translation", "rotation", "scale")
-_INSTANCES, _VISIBLE = "EXT_mesh_gpu_instancing", "KHR_node_visibility"
 
 
 def gltf_meshes(file: ModelFile) -> Iterator[Placed]:
@@ -58,11 +50,13 @@ def _placed(gltf: Gltf) -> Iterator[tuple[int, np.ndarray]]:
         seen.add(number)
         node = nodes[number]
         extensions = node.get("extensions", {})
-        if extensions.get(_VISIBLE, {}).get("visible") is False:
+        if extensions.get("KHR_node_visibility", {}).get("visible") is False:
             continue
         model_from_node = model_from_parent @ _parent_from_node(node)
         if "mesh" in node:
-            for node_from_mesh in _copies(gltf, extensions.get(_INSTANCES, {})):
+            for node_from_mesh in _copies(
+                gltf, extensions.get("EXT_mesh_gpu_instancing", {})
+            ):
                 yield node["mesh"], model_from_node @ node_from_mesh
         waiting += [(child, model_from_node) for child in node.get("children", [])]
 
@@ -105,7 +99,7 @@ def _triangles_of(
             continue
         rows = {
             own: gltf.array(given[name], columns).astype(float)
-            for name, (own, columns) in _ROWS.items()
+            for name, (own, columns) in TABLES["attributes"].items()
             if name in given
         }
         corners = np.arange(len(rows["vertices"]))

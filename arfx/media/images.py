@@ -36,7 +36,7 @@ MAX_PIXELS = {
 # longest side of a print's picture that is kept: twice what it is searched for with
 PRINT_PX = 1024
 _PILLOW = ("PNG", "JPEG", "BMP", "WEBP", "PPM", "JPEG2000", "TIFF")
-_HEIF = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
+_HEIF = re.compile(rb".{4}ftyp(he(ic|ix|im|is|vc|vx)|m[is]f1)", re.DOTALL)
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _EXR = b"v/1\x01"
 _WINDOWS = (b"dataWindow", b"displayWindow")  # FFmpeg makes a picture of the second
@@ -190,7 +190,7 @@ def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
 
 
 def is_heif(data: bytes) -> bool:
-    return data[4:8] == b"ftyp" and data[8:12] in _HEIF
+    return _HEIF.match(data) is not None
 
 
 def open_picture(data: bytes, path: Path, kind: str) -> Any:

@@ -14,6 +14,7 @@ import heapq
 import itertools
 import math
 import os
+import re
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -36,15 +37,11 @@ from arfx.media.photos import write_photo
 from arfx.media.writer import abandon, failures, remove_output, set_tags
 
 _MAX_TIMESCALE = (1 << 31) - 1
-_MUXER_OWN = {
-    "encoder",
-    "duration",
-    "rotate",
-    "major_brand",
-    "minor_version",
-    "compatible_brands",
-    "number_of_frames",
-}
+_MUXER_OWN = re.compile(
+    "encoder|duration|rotate|major_brand|minor_version|compatible_brands"
+    "|(_statistics|number_of).*",
+    re.IGNORECASE | re.DOTALL,
+)
 
 
 def join_chunks(
@@ -203,12 +200,7 @@ def _remux(
 
 def _plain_metadata(metadata: Mapping[str, str]) -> dict[str, str]:
     """Tags that belong to the recording, not to the file that held it."""
-    return {
-        k: v
-        for k, v in metadata.items()
-        if k.lower() not in _MUXER_OWN
-        and not k.startswith(("_STATISTICS", "NUMBER_OF"))
-    }
+    return {k: v for k, v in metadata.items() if not _MUXER_OWN.fullmatch(k)}
 
 
 def _add_stream(out: Any, template: Any, source: Any, time_base: Fraction) -> Any:

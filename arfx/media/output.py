@@ -203,8 +203,7 @@ def choose_format(
 
 def names_sequence(path: Path) -> bool:
     """Whether an output name stands for a folder of images."""
-    suffix = path.suffix.lower()
-    return suffix == ".exr" or (suffix == ".png" and "%" in path.name)
+    return re.search(r"(?i).\.exr$|%.*\.png$", path.name) is not None
 
 
 def image_names(pattern: str) -> Callable[[str], bool]:

@@ -5,6 +5,7 @@ EXIF of the one it was made of.
 from __future__ import annotations
 
 import io
+import re
 import struct
 import zlib
 from fractions import Fraction
@@ -19,7 +20,10 @@ from arfx.errors import InputError
 from arfx.media.images import decode_picture, is_heif, open_picture
 
 WRITTEN = (".png", ".jpg", ".jpeg")  # endings of one picture as an output
-_SIGNATURES = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"II*\0", b"MM\0*")
+_STILL = re.compile(
+    rb"(\x89PNG\r\n\x1a\n|\xff\xd8\xff|II\*\0|MM\0\*)(?!.*acTL)|.{8}WEBP(?!.*ANIM)",
+    re.DOTALL,
+)
 _ORIENTATION = 0x0112  # EXIF's tag
 _TIFF_STORAGE = {
     *range(254, 267),
@@ -39,9 +43,7 @@ def is_photo(path: Path) -> bool:
     """
     with path.open("rb") as f:
         head = f.read(4096)
-    webp = head[8:12] == b"WEBP" and b"ANIM" not in head
-    still = head.startswith(_SIGNATURES) and b"acTL" not in head
-    return webp or still or is_heif(head)
+    return _STILL.match(head) is not None or is_heif(head)
 
 
 def open_photo(path: Path) -> Any:
