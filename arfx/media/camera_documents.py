@@ -38,6 +38,7 @@ TABLES = tomllib.loads(Path(__file__).with_name("cameras.toml").read_text("utf-8
 # The middle of the top left pixel is (0.5, 0.5) there and (0, 0) here.
 _COLMAP_CENTRE_PX = 0.5
 _COLMAP_ROW = re.compile(r"\d+ [A-Z][A-Z_]+ ")
+Document = Mapping[str, Any]  # names and values
 
 
 class CameraFileError(InputError):
@@ -70,7 +71,7 @@ for _tag in ("opencv-matrix", "opencv-nd-matrix"):
     )
 
 
-def read_document(path: Path) -> Mapping[str, Any]:
+def read_document(path: Path) -> Document:
     """Names and values; of COLMAP those of each camera by its number, named as by Kalibr.
 
     Raises CameraFileError, InputError."""
@@ -128,7 +129,7 @@ def _unpacked(data: bytes) -> bytes:
     return out
 
 
-def _numpy(data: bytes) -> Mapping[str, Any]:
+def _numpy(data: bytes) -> Document:
     """Arrays by name, without those that hold Python objects."""
     out: dict[str, Any] = {}
     try:
@@ -185,7 +186,7 @@ def _colmap(rows: list[list[Any]]) -> dict[str, Any]:
     return cameras
 
 
-def _parse(text: str) -> Mapping[str, Any]:
+def _parse(text: str) -> Document:
     try:
         if text.lstrip().startswith("<"):
             return _xml(text)
@@ -208,7 +209,7 @@ def _parse(text: str) -> Mapping[str, Any]:
     return document
 
 
-def _xml(text: str) -> Mapping[str, Any]:
+def _xml(text: str) -> Document:
     """OpenCV's: matrices hold their numbers in <data>."""
     if "<!DOCTYPE" in text:
         raise ValueError("a DOCTYPE is not read")

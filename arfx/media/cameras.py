@@ -27,6 +27,7 @@ from arfx.media.camera_documents import (
     SUPPORTED,
     TABLES,
     CameraFileError,
+    Document,
     number,
     numbers,
     read_document,
@@ -70,7 +71,7 @@ def load_camera(path: str | Path) -> Camera:
     return camera
 
 
-def _from_names(document: Mapping[str, Any], where: str) -> Camera:
+def _from_names(document: Document, where: str) -> Camera:
     """The same things under different names. Raises CameraFileError, InputError."""
     flat = _flat(document)
     words = [_first(flat, _NAMES["model"])]
@@ -116,7 +117,7 @@ def _from_names(document: Mapping[str, Any], where: str) -> Camera:
     )
 
 
-def _size(flat: Mapping[str, Any]) -> tuple[int, int]:
+def _size(flat: Document) -> tuple[int, int]:
     stated = _first(flat, _NAMES["size"])
     if isinstance(stated, Mapping):
         stated = [stated.get("width"), stated.get("height")]
@@ -138,11 +139,11 @@ def _size(flat: Mapping[str, Any]) -> tuple[int, int]:
     return int(sides[0]), int(sides[1])
 
 
-def _flat(document: Mapping[str, Any]) -> dict[str, Any]:
+def _flat(document: Document) -> dict[str, Any]:
     return {str(k).lower().replace("_", ""): v for k, v in document.items()}
 
 
-def _first(flat: Mapping[str, Any], names: Sequence[str]) -> Any:
+def _first(flat: Document, names: Sequence[str]) -> Any:
     return next((flat[n] for n in names if flat.get(n) is not None), None)
 
 
@@ -212,7 +213,7 @@ def _check(camera: Camera) -> None:
         raise CameraFileError(what, hint)
 
 
-def camera_warnings(camera: Camera, claims: Mapping[str, Any]) -> list[str]:
+def camera_warnings(camera: Camera, claims: Document) -> list[str]:
     """Notices of what is unusual and may be meant, and of what a calibration admits of itself.
 
     claims : as of `calibration_claims`"""

@@ -35,6 +35,7 @@ _HELD = 100  # packets of which something is lost, and that may be the last ones
 # of the usual time between frames: a packet that is nearer to a frame is part of it, as a
 # field is
 _APART = 0.6
+Timed = Iterator[tuple[av.VideoFrame, int]]  # pictures and their times
 
 
 class FrameTimesError(InputError):
@@ -184,7 +185,7 @@ class ClipReader:
         """Whether decoding can begin at the key frame of that time, or one before it."""
         return next(self._from_key_frame(pts), None) is not None
 
-    def _pictures(self, first_pts: int | None) -> Iterator[tuple[av.VideoFrame, int]]:
+    def _pictures(self, first_pts: int | None) -> Timed:
         """All from a key frame at or before first_pts on."""
         if first_pts is not None and first_pts > self.info.start_pts and self._seeks:
             found = self._from_key_frame(first_pts)
@@ -195,7 +196,7 @@ class ClipReader:
         yield from self._timed(self._decode(self._open()))
         self.truncated = self._verdict(True)
 
-    def _from_key_frame(self, first_pts: int) -> Iterator[tuple[av.VideoFrame, int]]:
+    def _from_key_frame(self, first_pts: int) -> Timed:
         """Frames from first_pts on, or nothing at all when the key frame before it cannot
         be found for sure.
         """
@@ -298,9 +299,7 @@ class ClipReader:
             "the file ends in the middle of a frame" if held or cut else stopped
         )
 
-    def _timed(
-        self, pictures: Iterator[av.VideoFrame]
-    ) -> Iterator[tuple[av.VideoFrame, int]]:
+    def _timed(self, pictures: Iterator[av.VideoFrame]) -> Timed:
         """Gives each picture a time above the one before: a missing or repeated one follows
         by one frame (or one tick), and what begins anew goes on after it."""
         rate = self.info.fps or 25.0

@@ -22,6 +22,7 @@ from arfx.media.model_parts import checked, resized, shares
 
 _CONVERT = "npx @gltf-transform/cli"
 _ACCESSORS = TABLES["accessors"]
+Json = dict[str, Any]
 _WRAPS = {33071: CLAMP, 33648: MIRROR}
 _NEAREST = 9728
 _ROWS = 256  # of a picture, worked on at a time
@@ -49,7 +50,7 @@ class Gltf:
             size = int.from_bytes(data[end : end + 4], "little")
             data, self._chunk = data[20:end], data[end + 8 : end + 8 + size]
         try:
-            self.header: dict[str, Any] = parse_json(data.decode("utf-8-sig"))
+            self.header: Json = parse_json(data.decode("utf-8-sig"))
         except ValueError as e:
             raise InputError(f"its JSON: {e}", DAMAGED) from None
         _check(self.header, file)
@@ -63,7 +64,7 @@ class Gltf:
                 )
             self._buffers.append(content)
 
-    def content(self, given: dict[str, Any]) -> bytes:
+    def content(self, given: Json) -> bytes:
         """Of a buffer or a picture: a view, what is written in its address, a file beside the
         model, or what a GLB file holds behind its JSON. Raises InputError."""
         if "bufferView" in given:
@@ -101,7 +102,7 @@ class Gltf:
             )
         return shares(out) if accessor.get("normalized") else out
 
-    def _values(self, place: dict[str, Any], count: int, columns: int) -> np.ndarray:
+    def _values(self, place: Json, count: int, columns: int) -> np.ndarray:
         """place : an accessor, or a part of a sparse one"""
         view = self._views[place["bufferView"]]
         kind = np.dtype(_ACCESSORS[str(place["componentType"])])
@@ -115,7 +116,7 @@ class Gltf:
         )
 
 
-def _check(header: dict[str, Any], file: ModelFile) -> None:
+def _check(header: Json, file: ModelFile) -> None:
     """Notices of what is left out. Raises InputError."""
     version = str(header.get("asset", {}).get("version") or "2.0")
     if not version.startswith("2."):
@@ -144,7 +145,7 @@ def gltf_material(gltf: Gltf, number: int, coloured: bool) -> Material:
     Raises InputError: a texture is too large or damaged, a number out of range."""
     given, notices = gltf.header["materials"][number], gltf.file.notices
     extensions = given.get("extensions", {})
-    fields: dict[str, Any] = {
+    fields: Json = {
         name: _texture(gltf, _stated(given, path))
         for name, path in TABLES["textures"].items()
     }
@@ -195,7 +196,7 @@ def gltf_material(gltf: Gltf, number: int, coloured: bool) -> Material:
     )
 
 
-def _glossy(gltf: Gltf, given: dict[str, Any]) -> dict[str, Any]:
+def _glossy(gltf: Gltf, given: Json) -> Json:
     """Metallic-roughness of specular-glossiness, texel by texel where it has textures."""
     factors = (
         given.get("diffuseFactor", [1.0] * 4),
@@ -238,7 +239,7 @@ def _glossy(gltf: Gltf, given: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _texture(gltf: Gltf, slot: dict[str, Any] | None) -> Texture | None:
+def _texture(gltf: Gltf, slot: Json | None) -> Texture | None:
     if slot is None:
         return None
     change = _stated(slot, "extensions/KHR_texture_transform", {})
@@ -256,7 +257,7 @@ def _texture(gltf: Gltf, slot: dict[str, Any] | None) -> Texture | None:
             "left out a texture laid by a third set of coordinates"
         )
         return None
-    sampler: dict[str, Any] = {}
+    sampler: Json = {}
     if "sampler" in texture:
         sampler = gltf.header["samplers"][texture["sampler"]]
     across, down = (_WRAPS.get(sampler.get(k, 0), REPEAT) for k in ("wrapS", "wrapT"))
@@ -273,7 +274,7 @@ def _texture(gltf: Gltf, slot: dict[str, Any] | None) -> Texture | None:
     )
 
 
-def _stated(tree: dict[str, Any], path: str, default: Any = None) -> Any:
+def _stated(tree: Json, path: str, default: Any = None) -> Any:
     *way, last = path.split("/")
     for key in way:
         tree = tree.get(key, {})

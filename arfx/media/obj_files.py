@@ -37,6 +37,7 @@ from arfx.media.model_parts import (
 
 _MTL = TABLES["mtl"]
 _OTHER_MAPS = tuple(_MTL["other_maps"])
+Words = dict[str, list[str]]  # by what they belong to
 _GREY = 0.4  # display colour of a material that states neither Kd nor a map
 _SHEEN_ROUGHNESS = 0.5  # MTL has none
 _NUMBER = r"\s+[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?(?!\S)"
@@ -64,8 +65,8 @@ def obj_meshes(file: ModelFile) -> Iterator[Placed]:
     """The faces of a file by material. Nobody promises an OBJ's winding: both sides are shown.
 
     Raises InputError: more faces or parts than can be handled; ValueError, IndexError: damage."""
-    rows: dict[str, list[str]] = {"v": [], "vt": [], "vn": [], "mtllib": []}
-    faces_of: dict[str, list[str]] = {}
+    rows: Words = {"v": [], "vt": [], "vn": [], "mtllib": []}
+    faces_of: Words = {}
     faces = faces_of.setdefault("", [])
     text = io.StringIO(decoded(file.data), None).read()  # with line ends of one kind
     text = text.replace("\\\n", " ").replace("\t", " ")
@@ -111,7 +112,7 @@ def _materials(
     file: ModelFile, lists: list[str], used: list[str]
 ) -> dict[str, Material]:
     """Those that are used and described."""
-    stated: dict[str, list[str]] = {}
+    stated: Words = {}
     lost = False
     for name in dict.fromkeys(name for line in lists for name in _names(file, line)):
         try:
@@ -272,15 +273,13 @@ def mtl_material(
     return checked(material)
 
 
-def _stated(lines: Iterable[str]) -> dict[str, tuple[str, dict[str, list[str]], str]]:
+def _stated(lines: Iterable[str]) -> dict[str, tuple[str, Words, str]]:
     """By its key in lower case, the last of each kind: how it is written, the options of a
     map (`map_Kd -s 2 2 -o .5 0 name of a file.png`), and its value."""
-    stated = defaultdict[str, tuple[str, dict[str, list[str]], str]](
-        lambda: ("", {}, "")
-    )
+    stated = defaultdict[str, tuple[str, Words, str]](lambda: ("", {}, ""))
     for line in lines:
         written, _, value = line.strip().replace("\t", " ").partition(" ")
-        options, value = dict[str, list[str]](), value.strip()
+        options, value = Words(), value.strip()
         if not value:
             continue
         while found := _OPTION.match(value):

@@ -20,6 +20,7 @@ from arfx.synth.world import World
 # a rolling shutter moves the scene once per band: under 2 px of motion in hand-held footage
 _BAND_ROWS = 24
 _KEEP_BYTES = 400_000_000  # rays kept from frame to frame
+Arrays = tuple[np.ndarray, np.ndarray]
 
 
 class Picture:
@@ -93,7 +94,7 @@ class Picture:
         chosen: np.ndarray,
         footprint: float,
         seed: int,
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> Arrays:
         """Of each chosen pixel (h, w) one sample at that place in it, so late after the frame's
         own time, for a footprint of that width in pixels; as `tracer.radiance` gives them."""
         pixels, rays = np.argwhere(chosen), self.rays(*place)
@@ -108,7 +109,7 @@ class Picture:
         down = np.where(np.isfinite(down), down, right[..., ::-1] * [-1, 1])
         spans = footprint * np.nan_to_num(np.stack([right, down], 2))
 
-        def one(part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        def one(part: np.ndarray) -> Arrays:
             at = tuple(part.T)
             first = part[0, 0] // _BAND_ROWS * _BAND_ROWS
             middle = (first + min(first + _BAND_ROWS, rows)) / 2
@@ -160,7 +161,7 @@ class Picture:
         time_s = float(self.world.frame_times_s[frame]) + late_s
         return self.world.at(time_s), self.world.camera_at(frame, time_s).inverse()
 
-    def surfaces(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
+    def surfaces(self, frame: int) -> Arrays:
         """(depth (h, w) m along the axis, object number (h, w) uint8) at pixel centres and
         the frame's own time; 0 = nothing.
         """
