@@ -37,14 +37,13 @@ def _residuals(result: Calibration) -> Figure:
     misses = np.concatenate(fitted.residuals)
     lengths = np.linalg.norm(misses, axis=1)
     scale = 0.03 * fitted.camera.width / max(float(np.quantile(lengths, 0.95)), 1e-6)
-    arrows = misses * scale
     field.quiver(
         *points.T,
-        *arrows.T,
+        *misses.T,
         lengths,
         angles="xy",
         scale_units="xy",
-        scale=1,
+        scale=1 / scale,
         width=0.0015,
     )
     _picture_axes(

@@ -80,12 +80,12 @@ class Codec:
         return tuple(f for f in known if f.name == f.plain_name)
 
 
-_TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
-CODECS = {name: Codec(name, **fields) for name, fields in _TABLES["codecs"].items()}
-ALIASES: dict[str, str] = _TABLES["aliases"]
-SUFFIX_CONTAINER: dict[str, str] = _TABLES["containers"]
+TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
+CODECS = {name: Codec(name, **fields) for name, fields in TABLES["codecs"].items()}
+ALIASES: dict[str, str] = TABLES["aliases"]
+SUFFIX_CONTAINER: dict[str, str] = TABLES["containers"]
 CONTAINER_SUFFIX = {name: suffix for suffix, name in SUFFIX_CONTAINER.items()}
-CLIP_SUFFIXES = frozenset[str](_TABLES["clip_suffixes"])
+CLIP_SUFFIXES = frozenset[str](TABLES["clip_suffixes"])
 
 
 def open_encoder(context: Any) -> None:

@@ -198,18 +198,14 @@ def gltf_material(gltf: Gltf, number: int, coloured: bool) -> Material:
 
 def _glossy(gltf: Gltf, given: Json) -> Json:
     """Metallic-roughness of specular-glossiness, texel by texel where it has textures."""
-    factors = (
-        given.get("diffuseFactor", [1.0] * 4),
-        [
-            *given.get("specularFactor", [1.0] * 3),
-            given.get("glossinessFactor", 1.0),
-        ],
-    )
+    specular = given.get("specularFactor", [1.0] * 3)
+    shine = [*specular, given.get("glossinessFactor", 1.0)]
+    factors = np.array([given.get("diffuseFactor", [1.0] * 4), shine], np.float32)
     keys = "diffuseTexture", "specularGlossinessTexture"
     matt, shiny = textures = [_texture(gltf, given.get(key)) for key in keys]
     laid, rough_laid = matt or shiny, shiny or matt
     if laid is None or rough_laid is None:
-        base, rough = _metallic(*(np.array(f, np.float32) for f in factors))
+        base, rough = _metallic(*factors)
         return {
             "base_colour": tuple(base.tolist()),
             "roughness": float(rough[0]),
@@ -221,12 +217,9 @@ def _glossy(gltf: Gltf, given: Json) -> Json:
     base, rough = np.full((2, *pictures[0].shape), 255, np.uint8)
     for a in range(0, len(base), _ROWS):
         rows = slice(a, a + _ROWS)
-        linear = []
-        for picture, factor in zip(pictures, factors, strict=True):
-            part = picture[rows] / np.float32(255)
-            part[..., :3] = SRGB.decode(part[..., :3])
-            linear.append(part * np.array(factor, np.float32))
-        colour, matte = _metallic(*linear)
+        part = np.stack([p[rows] for p in pictures]) / np.float32(255)
+        part[..., :3] = SRGB.decode(part[..., :3])
+        colour, matte = _metallic(*(part * factors[:, None, None]))
         colour[..., :3] = SRGB.encode(colour[..., :3])
         base[rows] = np.round(colour * 255)
         rough[rows, :, 1:3] = np.round(matte * 255)

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import contextlib
 import heapq
-import itertools
 import math
 import os
 import re
@@ -68,10 +67,6 @@ def join_chunks(
     file cannot be written. Then nothing is left under the final name that was not there
     before."""
     path = out = Path(out)
-    if not chunks or not pts:
-        raise RenderError(f"{out}: nothing to join")
-    if any(b <= a for a, b in itertools.pairwise(pts)):
-        raise RenderError(f"{out}: frame times do not rise")
     if plan.is_sequence:
         out = out.absolute().parent
     part = part or part_name(out)

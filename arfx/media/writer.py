@@ -18,7 +18,7 @@ import numpy as np
 from av.codec.context import Flags
 
 from arfx.core.guard import TIMES
-from arfx.errors import ArfxError, RenderError
+from arfx.errors import ArfxError
 from arfx.media.clip import ClipInfo
 from arfx.media.codecs import CODECS, create_container, open_encoder
 from arfx.media.frame import SWS_MATRIX, Frame
@@ -39,13 +39,11 @@ def chunk_suffix(plan: OutputPlan) -> str:
 
 class ChunkWriter:
     """Context manager: frames in, a file (or a folder of images) out under `path`, or
-    nothing after an error. Raises RenderError: the file cannot be written, the encoder
-    fails, frames out of order, no frame at all."""
+    nothing after an error. Raises RenderError: the file cannot be written, the encoder fails."""
 
     def __init__(self, plan: OutputPlan, info: ClipInfo, path: Path) -> None:
         self.path = Path(path)
         self.part = self.path.with_name(self.path.name + ".part")
-        self._last: int | None = None
         with failures(self.path, lambda: remove_output(self.part)):
             remove_output(self.part)
             kind = _Images if plan.is_sequence else _Video
@@ -56,10 +54,6 @@ class ChunkWriter:
 
     def write(self, frame: Frame) -> None:
         """Encodes one frame; frames must come in order of presentation."""
-        if self._last is not None and frame.pts <= self._last:
-            what = f"its time {frame.pts} does not follow {self._last}"
-            raise RenderError(f"frame {frame.index}: {what}")
-        self._last = frame.pts
         with failures(self.path, self._abandon):
             self._file.write(frame)
 
@@ -68,8 +62,6 @@ class ChunkWriter:
             self._abandon()
             return
         with failures(self.path, self._abandon):
-            if self._last is None:
-                raise RenderError(f"{self.path}: a chunk without frames")
             self._file.finish()
             remove_output(self.path)
             self.part.replace(self.path)
