@@ -70,9 +70,19 @@ class Frame:
         out.setflags(write=False)
         return out
 
-    def rgb8(self) -> np.ndarray:
-        """(h, w, 3) uint8 R'G'B' of the whole upright picture, for looking at."""
-        return np.ascontiguousarray(self._rgb24())
+    def rgb8(self, **how: Any) -> np.ndarray:
+        """(h, w, 3) uint8 R'G'B' of the whole upright picture, for looking at.
+
+        how : as of `reformat`"""
+        f = self.format
+        shown = self.picture.reformat(
+            format="rgb24",
+            src_colorspace=SWS_MATRIX.get(f.matrix),
+            src_color_range=2 if f.full_range else 1,
+            dst_color_range=2,
+            **how,
+        )
+        return np.ascontiguousarray(f.orientation.upright(shown.to_ndarray()))
 
     def reduced(self, width: int) -> np.ndarray:
         """(h, w, 3) float32 linear RGB of the whole upright picture, at most `width` px
@@ -82,20 +92,8 @@ class Frame:
         width, height = (max(round(side * small), 1) for side in (f.width, f.height))
         return np.take(
             f.transfer.decode(np.arange(256) / 255).astype(np.float32),
-            self._rgb24(width=width, height=height, interpolation="AREA"),
+            self.rgb8(width=width, height=height, interpolation="AREA"),
         )
-
-    def _rgb24(self, **how: Any) -> np.ndarray:
-        """The whole upright picture. how : as of `reformat`"""
-        f = self.format
-        shown = self.picture.reformat(
-            format="rgb24",
-            src_colorspace=SWS_MATRIX.get(f.matrix),
-            src_color_range=2 if f.full_range else 1,
-            dst_color_range=2,
-            **how,
-        )
-        return f.orientation.upright(shown.to_ndarray())
 
     def _coded(self, rect: Rect) -> tuple[int, ...]:
         if rect.empty or not self.rect.contains(rect):
