@@ -114,12 +114,12 @@ def nearest_format(
     return None if best is None else able[best.name]
 
 
-def open_video(path: Path, kind: str = "clip") -> Any:
-    """A container for reading; a photo is a clip of one frame. kind : as in opener.LIMITS
+def open_video(path: Path) -> Any:
+    """A container for reading; a photo is a clip of one frame.
     Raises InputError: not a regular file, not a video, or a list of other files (playlist,
     concat script)."""
-    regular(path, kind)
-    if kind == "clip" and is_photo(path):
+    regular(path, "clip")
+    if is_photo(path):
         return open_photo(path)
     try:
         return av.open(
@@ -133,18 +133,18 @@ def open_video(path: Path, kind: str = "clip") -> Any:
             reason = "it is of a format that is not read"
             hint = "convert it to .mp4 or .mkv"
         raise InputError(
-            f"{kind} {path} cannot be read as a video: {reason or why(e)}",
+            f"clip {path} cannot be read as a video: {reason or why(e)}",
             hint
             or "a file that FFmpeg can decode; a recording that was cut off before its index"
             " was written may be repairable",
         ) from e
 
 
-def check_size(width: int, height: int, path: Path, kind: str = "clip") -> None:
+def check_size(width: int, height: int, path: Path) -> None:
     """Raises InputError for pictures too large to work on."""
     if max(width, height) > MAX_SIDE:
         raise InputError(
-            f"{kind} {path} has pictures of {width}x{height}",
+            f"clip {path} has pictures of {width}x{height}",
             f"at most {MAX_SIDE} px a side: scale it down",
         )
 

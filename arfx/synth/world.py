@@ -203,24 +203,22 @@ def _room(scene: SceneFile, folder: Path | None) -> Room:
     )
 
 
-def marker_points(marker: Marker, count: int = 12) -> np.ndarray:
-    """(count², 3) points spread evenly over the marker's black square, marker axes, metres."""
-    grid = ((np.arange(count) + 0.5) / count - 0.5) * marker.spec.size_m
+def marker_points(marker: Marker) -> np.ndarray:
+    """(144, 3) points spread evenly over the marker's black square, marker axes, metres."""
+    grid = ((np.arange(12) + 0.5) / 12 - 0.5) * marker.spec.size_m
     x, y = np.meshgrid(grid, grid)
     return np.stack([x, y, 0 * x], -1).reshape(-1, 3)
 
 
-def smooth_noise(
-    seed: int, name: str, time_s: float, rate_hz: float, channels: int
-) -> np.ndarray:
-    """(channels,) band-limited noise with unit rms over time: six sinusoids around
+def smooth_noise(seed: int, name: str, time_s: float, rate_hz: float) -> np.ndarray:
+    """(6,) band-limited noise with unit rms over time: six sinusoids around
     `rate_hz`, phases from the seed.
     """
     rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-    hz = rate_hz * rng.uniform(0.4, 1.6, (channels, 6))
-    return np.sin(
-        2 * np.pi * hz * time_s + rng.uniform(0, 2 * np.pi, (channels, 6))
-    ).sum(1) / np.sqrt(3.0)
+    hz = rate_hz * rng.uniform(0.4, 1.6, (6, 6))
+    return np.sin(2 * np.pi * hz * time_s + rng.uniform(0, 2 * np.pi, (6, 6))).sum(
+        1
+    ) / np.sqrt(3.0)
 
 
 def look_at(position_m: np.ndarray, target_m: np.ndarray) -> Pose:
@@ -252,8 +250,8 @@ def camera_from_room(
         position = _between(path.keys, "position_m", time_s)
         target = _between(path.keys, "target_m", time_s)
     both = (
-        smooth_noise(seed, f"hand {name}", time_s, 4.0, 6)
-        + 2 * smooth_noise(seed, f"drift {name}", time_s, 0.7, 6)
+        smooth_noise(seed, f"hand {name}", time_s, 4.0)
+        + 2 * smooth_noise(seed, f"drift {name}", time_s, 0.7)
     ) / np.sqrt(5.0)
     return _trembling(both, path.hand_deg, path.hand_m) @ look_at(position, target)
 
@@ -305,7 +303,7 @@ def room_from_object(
             * np.array([np.sin(golden), np.sin(a + 2), 0.5 * np.sin(1.3 * a)]),
         )
     return pose @ _trembling(
-        smooth_noise(seed, f"tremor {name}", time_s, 6.0, 6),
+        smooth_noise(seed, f"tremor {name}", time_s, 6.0),
         motion.tremor_deg,
         motion.tremor_m,
     )
