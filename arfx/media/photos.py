@@ -8,7 +8,6 @@ import io
 import re
 import struct
 import zlib
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -58,18 +57,16 @@ def open_photo(path: Path) -> Any:
         raise InputError(
             f"photo {path} holds {bgr.dtype} samples", "save it with 8 or 16 bits"
         )
-    held = io.BytesIO()
-    with av.open(held, "w", format="nut") as out:
-        stream: Any = out.add_stream("rawvideo", rate=1)
-        stream.height, stream.width = bgr.shape[:2]
-        stream.pix_fmt = "gbrp" if bgr.dtype == np.uint8 else "gbrp16le"
-        frame = av.VideoFrame.from_ndarray(
-            np.ascontiguousarray(bgr[..., ::-1]), format=stream.pix_fmt
-        )
-        frame.pts, frame.time_base = 0, Fraction(1)
-        out.mux([*stream.encode(frame), *stream.encode(None)])
-    held.seek(0)
-    return av.open(held, format="nut")
+    h, w = bgr.shape[:2]
+    return av.open(
+        io.BytesIO(np.moveaxis(bgr[..., [1, 0, 2]], -1, 0).tobytes()),
+        format="rawvideo",
+        options={
+            "video_size": f"{w}x{h}",
+            "pixel_format": "gbrp" if bgr.dtype == np.uint8 else "gbrp16le",
+            "framerate": "65536",
+        },
+    )
 
 
 def write_photo(part: Path, chunk: Path, source: Path, suffix: str) -> None:
