@@ -48,7 +48,6 @@ class ModelFile:
         self._folder = path.absolute().parent.resolve()
         self._pictures: dict[Any, np.ndarray | None] = {}
         self._texels = 0
-        self._names: dict[Path, dict[str, str]] = {}
 
     def check_counts(self, faces: int, parts: int = 0) -> None:
         """Raises InputError: there are more than can be handled."""
@@ -169,14 +168,10 @@ class ModelFile:
         in how umlauts are written."""
         path = self._folder
         for name in place.relative_to(path).parts:
-            if path not in self._names:
-                inside = path.resolve().is_relative_to(self._folder) and path.is_dir()
-                on_disk = sorted(os.listdir(path)) if inside else []  # noqa: PTH208
-                self._names[path] = {_folded(n): n for n in on_disk[::-1]} | {
-                    n: n for n in on_disk
-                }
-            names = self._names[path]
-            path /= names.get(name) or names.get(_folded(name), name)
+            inside = path.resolve().is_relative_to(self._folder) and path.is_dir()
+            on_disk = os.listdir(path) if inside else []  # noqa: PTH208
+            alike = sorted(n for n in on_disk if _folded(n) == _folded(name))
+            path /= name if name in alike or not alike else alike[0]
         return path
 
 
