@@ -3,7 +3,7 @@ sections 3.5, 3.7)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cache, partial
 from typing import Any
 
@@ -27,9 +27,34 @@ def gltf_meshes(file: ModelFile) -> Iterator[Placed]:
     Raises InputError: limits, what is missing or does not fit together."""
     gltf = Gltf(file)
     material_of = cache(partial(gltf_material, gltf))
-    triangles_of = cache(
-        lambda number: list(_triangles_of(gltf, number, material_of))
-    )
+
+    @cache
+    def triangles_of(number: int) -> list[tuple[np.ndarray, Rows, Material]]:
+        out = []
+        for primitive in gltf.header["meshes"][number]["primitives"]:
+            given, mode = primitive["attributes"], primitive.get("mode", _TRIANGLES)
+            if "POSITION" not in given:
+                continue
+            if mode < _TRIANGLES:
+                file.notices.append(NO_TRIANGLES)
+                continue
+            rows = {
+                own: gltf.array(given[name], columns).astype(float)
+                for name, (own, columns) in TABLES["attributes"].items()
+                if name in given
+            }
+            corners = np.arange(len(rows["vertices"]))
+            if "indices" in primitive:
+                corners = gltf.array(primitive["indices"], 1)[:, 0].astype(np.int64)
+            if coloured := "COLOR_0" in given:
+                rows["colours"] = unit_colours(gltf.array(given["COLOR_0"]))
+            if "material" in primitive:
+                material = material_of(primitive["material"], coloured)
+            else:
+                material = plain_material(coloured, double_sided=False)
+            out.append((_triangles(corners, mode), rows, material))
+        return out
+
     for number, model_from_mesh in _placed(gltf):
         for faces, rows, material in triangles_of(number):
             yield faces, rows, model_from_mesh, material
@@ -85,33 +110,6 @@ def _copies(gltf: Gltf, instances: dict[str, Any]) -> Iterator[np.ndarray]:
         gltf.file.check_counts(0, len(values))
     for row in zip(*columns.values(), strict=False):
         yield _parent_from_node(dict(zip(columns, row, strict=True)))
-
-
-def _triangles_of(
-    gltf: Gltf, number: int, material_of: Callable[[int, bool], Material]
-) -> Iterator[tuple[np.ndarray, Rows, Material]]:
-    for primitive in gltf.header["meshes"][number]["primitives"]:
-        given, mode = primitive["attributes"], primitive.get("mode", _TRIANGLES)
-        if "POSITION" not in given:
-            continue
-        if mode < _TRIANGLES:
-            gltf.file.notices.append(NO_TRIANGLES)
-            continue
-        rows = {
-            own: gltf.array(given[name], columns).astype(float)
-            for name, (own, columns) in TABLES["attributes"].items()
-            if name in given
-        }
-        corners = np.arange(len(rows["vertices"]))
-        if "indices" in primitive:
-            corners = gltf.array(primitive["indices"], 1)[:, 0].astype(np.int64)
-        if coloured := "COLOR_0" in given:
-            rows["colours"] = unit_colours(gltf.array(given["COLOR_0"]))
-        if "material" in primitive:
-            material = material_of(primitive["material"], coloured)
-        else:
-            material = plain_material(coloured, double_sided=False)
-        yield _triangles(corners, mode), rows, material
 
 
 def _parent_from_node(node: dict[str, Any]) -> np.ndarray:
