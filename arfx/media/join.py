@@ -82,10 +82,14 @@ def join_chunks(
         if made is not None:
             made()
         with interrupt.committing():
-            if plan.is_sequence:
-                _place_folder(part, out)
-            else:
-                part.replace(out)
+            if not (plan.is_sequence and out.exists()):
+                part.replace(out)  # a new folder appears at once
+            else:  # it keeps its other files; each image is replaced in one step
+                for f in part.iterdir():
+                    f.replace(out / f.name)
+                    # two names of one file: to rename one to the other leaves both
+                    f.unlink(missing_ok=True)
+                part.rmdir()
     return left_out
 
 
@@ -96,31 +100,6 @@ def _packets_of(chunk: Path) -> Any:
     return av.open(ffmpeg_url(chunk), options={"skip_frame": "all"})
 
 
-def _ranks_of(chunks: Sequence[Path], count: int) -> list[int]:
-    """For each packet in decoding order, the number of its frame in the clip."""
-    ranks, extradata = list[int](), None
-    for chunk in chunks:
-        with _packets_of(chunk) as c:
-            stream = c.streams.video[0]
-            own = bytes(stream.codec_context.extradata or b"")
-            if extradata not in (None, own):
-                raise RenderError(
-                    f"{chunk}: encoded with other settings than the chunks before",
-                    "render the job again",
-                )
-            extradata = own
-            order = np.argsort(
-                np.argsort([p.pts for p in c.demux(stream) if p.size], kind="stable")
-            )
-            ranks += (len(ranks) + order).tolist()
-    if len(ranks) != count:
-        raise RenderError(
-            f"the chunks hold {len(ranks)} frames, the clip has {count}",
-            "render the job again",
-        )
-    return ranks
-
-
 def _video_packets(
     chunks: Sequence[Path], pts: Sequence[int], time_base: Fraction, stream: Any
 ) -> Iterator[tuple[Fraction, Any]]:
@@ -128,7 +107,26 @@ def _video_packets(
 
     What is decoded last has the last frame's length, since MP4 and MOV end with it.
     """
-    ranks = _ranks_of(chunks, len(pts))
+    # of each packet in decoding order the number of its frame in the clip
+    ranks, extradata = list[int](), None
+    for chunk in chunks:
+        with _packets_of(chunk) as c:
+            coded = c.streams.video[0]
+            own = bytes(coded.codec_context.extradata or b"")
+            if extradata not in (None, own):
+                raise RenderError(
+                    f"{chunk}: encoded with other settings than the chunks before",
+                    "render the job again",
+                )
+            extradata = own
+            times = [p.pts for p in c.demux(coded) if p.size]
+            order = np.argsort(np.argsort(times, kind="stable"))
+            ranks += (len(ranks) + order).tolist()
+    if len(ranks) != len(pts):
+        raise RenderError(
+            f"the chunks hold {len(ranks)} frames, the clip has {len(pts)}",
+            "render the job again",
+        )
     i, wait = 0, max(pts[i] - pts[r] for i, r in enumerate(ranks))
     last = pts[-1] - pts[-2] if len(pts) > 1 else 0
     for chunk in chunks:
@@ -309,16 +307,3 @@ def _gather(chunks: Sequence[Path], count: int, part: Path) -> None:
             "render the job again",
         )
     (part / TIMES).write_text("".join(times))
-
-
-def _place_folder(part: Path, folder: Path) -> None:
-    """A new folder appears at once. One that exists keeps its other files; each image is
-    replaced in one step."""
-    if not folder.exists():
-        part.replace(folder)
-        return
-    for f in part.iterdir():
-        f.replace(folder / f.name)
-        # two names of one file: to rename one to the other leaves both
-        f.unlink(missing_ok=True)
-    part.rmdir()
