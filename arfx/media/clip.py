@@ -287,7 +287,10 @@ def _info(
             f"the pixels are not square: {stored}, pixel aspect"
             f" {sample.numerator}:{sample.denominator}, {used}"
         )
-    duration = _tagged_duration(stream.metadata)
+    # Matroska's own of the stream
+    duration, tag = None, stream.metadata.get("DURATION", "")
+    if m := re.fullmatch(r"(\d+):(\d\d):(\d\d(?:\.\d+)?)", tag):
+        duration = int(m[1]) * 3600 + int(m[2]) * 60 + Fraction(m[3])
     if stream.duration:
         duration = stream.duration * stream.time_base
     of_video = duration is not None or len(container.streams) == 1
@@ -344,12 +347,6 @@ def _display_matrix(
     angle = math.radians(picture.rotation)
     c, s = (round(f(angle) * (1 << 16)) for f in (math.cos, math.sin))
     return c, -s, 0, s, c, 0, 0, 0, 1 << 30
-
-
-def _tagged_duration(metadata: dict[str, str]) -> Fraction | None:
-    """Matroska's per-stream DURATION tag, "00:00:05.005000000"."""
-    m = re.fullmatch(r"(\d+):(\d\d):(\d\d(?:\.\d+)?)", metadata.get("DURATION", ""))
-    return int(m[1]) * 3600 + int(m[2]) * 60 + Fraction(m[3]) if m else None
 
 
 class Match(NamedTuple):

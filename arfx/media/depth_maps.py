@@ -217,7 +217,10 @@ def open_depth(
             for p in folder_entries(path, "depth folder")
             if p.suffix.lower() in SUFFIXES
         ),
-        key=_natural,
+        key=lambda p: (  # 2 before 10
+            [int(x) if x.isdecimal() else x for x in re.split(r"(\d+)", p.stem)],
+            p.name,
+        ),
     )
     if not found:
         raise InputError(f"depth folder {path} holds no depth map", _KINDS)
@@ -237,13 +240,6 @@ def open_depth(
             raise InputError(what)
         since_s = tuple((times - times[0]).tolist())
     return DepthMaps(path, tuple(found), len(found), steps_per_m, start_s, since_s)
-
-
-def _natural(path: Path) -> tuple[list[int | str], str]:
-    """2 before 10."""
-    return [
-        int(p) if p.isdecimal() else p for p in re.split(r"(\d+)", path.stem)
-    ], path.name
 
 
 def fill_holes(depth_m: np.ndarray, guide: np.ndarray) -> np.ndarray:

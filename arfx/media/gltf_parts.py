@@ -63,7 +63,17 @@ def gltf_meshes(file: ModelFile) -> Iterator[Placed]:
 def _placed(gltf: Gltf) -> Iterator[tuple[int, np.ndarray]]:
     """Numbers of the meshes that are shown, each with its place in the model, (4, 4)."""
     nodes = gltf.header.get("nodes", [])
-    waiting = [(number, np.eye(4)) for number in _roots(gltf, nodes)]
+    if scenes := gltf.header.get("scenes", []):
+        shown = gltf.header.get("scene", 0)
+        roots = scenes[shown].get("nodes", [])
+        if len(scenes) > 1:
+            gltf.file.notices.append(
+                f"{len(scenes)} scenes, number {shown} is shown (from 0 on)"
+            )
+    else:
+        below = {child for node in nodes for child in node.get("children", [])}
+        roots = sorted(set(range(len(nodes))) - below)
+    waiting = [(number, np.eye(4)) for number in roots]
     seen = set()
     while waiting:
         number, model_from_parent = waiting.pop()
@@ -84,20 +94,6 @@ def _placed(gltf: Gltf) -> Iterator[tuple[int, np.ndarray]]:
             ):
                 yield node["mesh"], model_from_node @ node_from_mesh
         waiting += [(child, model_from_node) for child in node.get("children", [])]
-
-
-def _roots(gltf: Gltf, nodes: list[dict[str, Any]]) -> list[int]:
-    """Those of the scene that is shown; of a file without scenes every node that is below none."""
-    scenes = gltf.header.get("scenes", [])
-    if not scenes:
-        below = {child for node in nodes for child in node.get("children", [])}
-        return [number for number in range(len(nodes)) if number not in below]
-    shown = gltf.header.get("scene", 0)
-    if len(scenes) > 1:
-        gltf.file.notices.append(
-            f"{len(scenes)} scenes, number {shown} is shown (from 0 on)"
-        )
-    return list(scenes[shown].get("nodes", []))
 
 
 def _copies(gltf: Gltf, instances: dict[str, Any]) -> Iterator[np.ndarray]:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from arfx.core.model import Material, Model, Part, Texture
+from arfx.core.model import Material, Model, Texture
 from arfx.core.numerics import same_rows
 from arfx.core.opener import read_bytes
 from arfx.errors import ArfxError, InputError
@@ -62,8 +62,21 @@ def load_model(path: Path | str, up: str | None = None) -> Model:
     data = read_bytes(path, "model")
     try:
         file = ModelFile(path, data, _kind(path, data))
+        readers = {"glb": gltf_meshes, "gltf": gltf_meshes, "obj": obj_meshes}
+        placed, faces = list[Placed](), 0
         with np.errstate(all="ignore"):
-            parts = _read(file)
+            for found in readers.get(file.kind, trimesh_meshes)(file):
+                placed.append(found)
+                faces += len(found[0])
+                file.check_counts(faces, len(placed))
+            parts = [p for found in placed if (p := part_of(*found)) is not None]
+        if lost := faces - sum(len(part.faces) for part in parts):
+            file.notices.append(f"{lost} faces without area left out")
+        if not parts:
+            raise InputError(
+                "it has no faces",
+                "a mesh with triangles is needed; points and lines cannot be rendered",
+            )
         model = Model(tuple(parts), up or _UP[file.kind], str(path))
         extent, furthest = np.ptp(model.bounds, 0).max(), np.abs(model.bounds).max()
         if not 0 < extent <= MAX_EXTENT or furthest > MAX_EXTENT:
@@ -98,24 +111,6 @@ def _kind(path: Path, data: bytes) -> str:
         what = "the package pycollada is not installed"
         raise InputError(what, "convert it to GLB or OBJ")
     return kind
-
-
-def _read(file: ModelFile) -> list[Part]:
-    readers = {"glb": gltf_meshes, "gltf": gltf_meshes, "obj": obj_meshes}
-    placed, faces = [], 0
-    for found in readers.get(file.kind, trimesh_meshes)(file):
-        placed.append(found)
-        faces += len(found[0])
-        file.check_counts(faces, len(placed))
-    parts = [part for found in placed if (part := part_of(*found)) is not None]
-    if lost := faces - sum(len(part.faces) for part in parts):
-        file.notices.append(f"{lost} faces without area left out")
-    if not parts:
-        raise InputError(
-            "it has no faces",
-            "a mesh with triangles is needed; points and lines cannot be rendered",
-        )
-    return parts
 
 
 def trimesh_meshes(file: ModelFile) -> Iterator[Placed]:

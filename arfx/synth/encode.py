@@ -96,37 +96,21 @@ class ClipFile(VideoFile):
 
     def write(self, coded: np.ndarray, time_s: float) -> None:
         """coded (h, w, 3) float R'G'B' 0..1, upright;  time_s from the clip's first frame."""
-        coded = np.ascontiguousarray(
-            np.rot90(coded, -self._scene.clip.rotation_deg // 90)
-        )
-        self.put(self._samples(coded), self._scene.clip.start_s + time_s)
-
-    def _samples(self, coded: np.ndarray) -> np.ndarray:
-        yuv = cv2.transform(coded, yuv_from_rgb("bt709").astype(np.float32))
+        turned = np.rot90(coded, -self._scene.clip.rotation_deg // 90)
+        matrix = yuv_from_rgb("bt709").astype(np.float32)
+        yuv = cv2.transform(np.ascontiguousarray(turned), matrix)
         luma, chroma = 16 + 219 * yuv[..., 0], 128 + 224 * yuv[..., 1:]
         shape: tuple[int, ...] = 3, *luma.shape
         if self._stream.pix_fmt == "yuv420p":
-            wide = cv2.filter2D(
-                chroma,
-                -1,
-                np.array([[0.25, 0.5, 0.25]]),
-                borderType=cv2.BORDER_REPLICATE,
-            )
+            across = np.array([[0.25, 0.5, 0.25]])
+            wide = cv2.filter2D(chroma, -1, across, borderType=cv2.BORDER_REPLICATE)
             wide = wide[:, ::2]
             chroma = (wide[::2] + wide[1::2]) / 2
             shape = luma.shape[0] * 3 // 2, luma.shape[1]
-        return (
-            np.clip(
-                np.rint(
-                    np.concatenate(
-                        [p.ravel() for p in (luma, *np.moveaxis(chroma, -1, 0))]
-                    )
-                ),
-                0,
-                255,
-            )
-            .astype(np.uint8)
-            .reshape(shape)
+        planes = [p.ravel() for p in (luma, *np.moveaxis(chroma, -1, 0))]
+        samples = np.clip(np.rint(np.concatenate(planes)), 0, 255)
+        self.put(
+            samples.astype(np.uint8).reshape(shape), self._scene.clip.start_s + time_s
         )
 
     def close(self) -> None:

@@ -109,52 +109,33 @@ class Picture:
         down = np.where(np.isfinite(down), down, right[..., ::-1] * [-1, 1])
         spans = footprint * np.nan_to_num(np.stack([right, down], 2))
 
+        lens = self.world.scene.lens
+
         def one(part: np.ndarray) -> Arrays:
             at = tuple(part.T)
             first = part[0, 0] // _BAND_ROWS * _BAND_ROWS
             middle = (first + min(first + _BAND_ROWS, rows)) / 2
             room, pose = seen(late_s + (roll and roll * (middle / rows - 0.5)))
-            return radiance(
-                self._through_lens(
-                    rays[at],
-                    spans[at],
-                    np.ravel_multi_index(at, chosen.shape),
-                    pose,
-                    seed,
-                ),
-                room,
+            number = np.ravel_multi_index(at, chosen.shape)
+            ahead, starts, turn = rays[at], np.zeros((len(part), 3)), pose.rotation.T
+            if lens.aperture_m > 0:  # through a random point of it
+                radius = 0.5 * lens.aperture_m * np.sqrt(_noise(seed, 2 * number))
+                angle = 2 * np.pi * _noise(seed, 2 * number + 1)
+                starts[:, 0] = radius * np.cos(angle)
+                starts[:, 1] = radius * np.sin(angle)
+                ahead = ahead - starts[:, :2] / (lens.focus_m or 1.0)
+            through = Rays(
+                starts @ turn + pose.translation_m,
+                ahead @ turn[:2] + turn[2],
+                spans[at] @ turn[:2],
+                2 * np.pi * _noise(seed + 7, number),
             )
+            return radiance(through, room)
 
         light, met = zip(
             *parallel_map(one, filter(len, np.split(pixels, cuts))), strict=True
         )
         return np.concatenate(light), np.concatenate(met)
-
-    def _through_lens(
-        self,
-        ahead: np.ndarray,
-        spans: np.ndarray,
-        number: np.ndarray,
-        pose: Pose,
-        seed: int,
-    ) -> Rays:
-        """In the room, through pixels (n,) of these numbers and a random point of the aperture."""
-        lens, starts = self.world.scene.lens, np.zeros((len(number), 3))
-        if lens.aperture_m > 0:
-            radius = 0.5 * lens.aperture_m * np.sqrt(_noise(seed, 2 * number))
-            angle = 2 * np.pi * _noise(seed, 2 * number + 1)
-            starts[:, 0], starts[:, 1] = (
-                radius * np.cos(angle),
-                radius * np.sin(angle),
-            )
-            ahead = ahead - starts[:, :2] / (lens.focus_m or 1.0)
-        turn = pose.rotation.T
-        return Rays(
-            starts @ turn + pose.translation_m,
-            ahead @ turn[:2] + turn[2],
-            spans @ turn[:2],
-            2 * np.pi * _noise(seed + 7, number),
-        )
 
     def _seen(self, frame: int, late_s: float = 0.0) -> tuple[Room, Pose]:
         """The room so late after the frame's own time, and room_from_camera."""
