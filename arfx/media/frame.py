@@ -106,18 +106,27 @@ class Frame:
             self.format.orientation.coded_rect(rect, shown.width, shown.height)
         )
 
-    def linear(self, rect: Rect) -> np.ndarray:
+    def linear(self, rect: Rect, out: np.ndarray | None = None) -> np.ndarray:
         """(h, w, 3) float32 linear RGB of an upright rectangle; not clipped, so slightly
         below 0 and above 1 occur. Any two rectangles agree where they meet. Raises
-        RenderError if rect is empty or leaves the picture."""
+        RenderError if rect is empty or leaves the picture.
+
+        out : to write it to, None = a new array"""
         from arfx.media import samples  # whose compiler takes long to load
 
         f, r = self.format, self._coded(rect)
         s = samples.samples_of(f)
-        out = np.empty((r[3] - r[1], r[2] - r[0], 3), np.float32)
+        if out is None:
+            out = np.empty((rect.height, rect.width, 3), np.float32)
+        coded = f.orientation.coded(out)
+        into = (
+            coded if coded.flags.c_contiguous else np.empty(coded.shape, np.float32)
+        )
         planes = samples.three(planes_of(self.picture, f.layout))
-        samples.read(s, planes, r, samples.scratch_for(s, r), out)
-        return np.ascontiguousarray(f.orientation.upright(out))
+        samples.read(s, planes, r, samples.scratch_for(s, r), into)
+        if into is not coded:
+            coded[...] = into
+        return out
 
     def linear_at(self, pixels: np.ndarray) -> np.ndarray:
         """(n, 3) float32: `linear` of single upright pixels (n, 2) int, x and y.
