@@ -229,34 +229,16 @@ def write_sheet(sheet: Sheet, path: Path, dpi: float = 300.0) -> None:
             )
         width, height = ((side + 1e-3) / scale for side in size)  # whole pixels
     from matplotlib import rc_context
-
-    figure = _figure(sheet, width, height)
-    # no random names
-    with (
-        atomic_write(path) as part,
-        rc_context({"svg.hashsalt": "arfx", "svg.fonttype": "none"}),
-    ):
-        figure.savefig(
-            part,
-            format=ending[1:],
-            dpi=dpi,
-            metadata={"Title": sheet.title, **UNDATED[ending]},
-        )
-
-
-def _figure(sheet: Sheet, width_mm: float, height_mm: float) -> Any:
-    """The sheet from its upper left corner, as large as that."""
     from matplotlib.figure import Figure
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path as Outline
 
-    figure = Figure(figsize=(width_mm / MM_PER_INCH, height_mm / MM_PER_INCH))
+    figure = Figure(figsize=(width / MM_PER_INCH, height / MM_PER_INCH))
     axes = figure.add_axes((0, 0, 1, 1))
-    axes.set(xlim=(0, width_mm), ylim=(height_mm, 0))
+    axes.set(xlim=(0, width), ylim=(height, 0))
     axes.set_axis_off()
-    outline = Outline.make_compound_path_from_polys(
-        np.concatenate(sheet.black)[:, [0, 1, 2, 3, 0]]
-    )
+    corners = np.concatenate(sheet.black)[:, [0, 1, 2, 3, 0]]
+    outline = Outline.make_compound_path_from_polys(corners)
     axes.add_patch(PathPatch(outline, facecolor="black", linewidth=0, snap=True))
     axes.plot(
         *sheet.lines.T,
@@ -268,4 +250,14 @@ def _figure(sheet: Sheet, width_mm: float, height_mm: float) -> Any:
     size_pt = TEXT_MM / CAP_FRACTION / MM_PER_INCH * 72
     for text in sheet.texts:
         axes.text(*text, ha="center", va="baseline", fontsize=size_pt)
-    return figure
+    # no random names
+    with (
+        atomic_write(path) as part,
+        rc_context({"svg.hashsalt": "arfx", "svg.fonttype": "none"}),
+    ):
+        figure.savefig(
+            part,
+            format=ending[1:],
+            dpi=dpi,
+            metadata={"Title": sheet.title, **UNDATED[ending]},
+        )

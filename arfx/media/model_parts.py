@@ -63,7 +63,17 @@ def part_of(
         return None
     rows, linear = dict(given), model_from_mesh[:3, :3]
     rows["vertices"] = rows["vertices"] @ linear.T + model_from_mesh[:3, 3]
-    _check(rows["vertices"], faces)
+    count = len(rows["vertices"])
+    if not 0 <= faces.min() <= faces.max() < count:
+        raise InputError(
+            f"faces refer to vertex {faces.max()}, there are {count}",
+            "the file is damaged",
+        )
+    if bad := int((~np.isfinite(rows["vertices"])).any(1).sum()):
+        raise InputError(
+            f"{bad} of {count} vertices are not finite numbers",
+            "export it again; look for NaN or inf",
+        )
     rows = _usable(rows)
     side = float(np.sign(np.linalg.det(linear))) or 1.0
     if side < 0:  # a mirror turns every triangle inside out
@@ -107,16 +117,6 @@ def part_of(
         | {"tangents": corner_tangents(part.vertices, part.faces, part.normals, uv)},
         material,
     )
-
-
-def _check(vertices: np.ndarray, faces: np.ndarray) -> None:
-    count = len(vertices)
-    if not 0 <= faces.min() <= faces.max() < count:
-        what = f"faces refer to vertex {faces.max()}, there are {count}"
-        raise InputError(what, "the file is damaged")
-    if bad := int((~np.isfinite(vertices)).any(1).sum()):
-        what = f"{bad} of {count} vertices are not finite numbers"
-        raise InputError(what, "export it again; look for NaN or inf")
 
 
 def _usable(rows: Rows) -> Rows:

@@ -138,13 +138,8 @@ def trimesh_meshes(file: ModelFile) -> Iterator[Placed]:
         faces, rows = _mesh(mesh)
         given = getattr(mesh.visual, "material", None)
         if texture is not None:
-            white = (1.0, 1.0, 1.0, 1.0)
-            material = Material(
-                base_colour=white,
-                base_texture=texture,
-                roughness=1.0,
-                double_sided=True,
-            )
+            plain = plain_material(has_colours=True, double_sided=True)
+            material = replace(plain, base_texture=texture, roughness=1.0)
         elif type(given).__name__ == "PBRMaterial":
             if id(given) not in materials:
                 materials[id(given)] = _of_collada(file, given)

@@ -4,6 +4,7 @@ EXIF of the one it was made of.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import re
 import struct
@@ -81,7 +82,19 @@ def write_photo(part: Path, chunk: Path, source: Path, suffix: str) -> None:
         frame = next(container.decode(video=0))
         deep = suffix == ".png" and frame.format.components[0].bits > 8
         rgb = frame.to_ndarray(format="rgb48le" if deep else "rgb24")
-    profile, exif = _origin(source)
+    profile = exif = b""
+    with contextlib.suppress(
+        Exception
+    ):  # whatever its header holds: pixels were read
+        data = read_bytes(source, "picture")
+        with open_picture(data, source, "photo") as picture:
+            tags = picture.getexif()
+            if _ORIENTATION in tags:
+                tags[_ORIENTATION] = 1
+            for tag in tags.keys() & _TIFF_STORAGE:
+                del tags[tag]
+            profile = picture.info.get("icc_profile") or b""
+            exif = tags.tobytes() if tags else b""
     if suffix == ".png":
         data = cv2.imencode(suffix, rgb[..., ::-1])[1].tobytes()
         chunks = b""
@@ -99,25 +112,6 @@ def write_photo(part: Path, chunk: Path, source: Path, suffix: str) -> None:
         icc_profile=profile or None,
         exif=exif,
     )
-
-
-def _origin(source: Path) -> tuple[bytes, bytes]:
-    """Colour profile and EXIF of a photo that is upright now, empty where it has none, or
-    is damaged there.
-    """
-    try:
-        data = read_bytes(source, "picture")
-        with open_picture(data, source, "photo") as picture:
-            exif = picture.getexif()
-            if _ORIENTATION in exif:
-                exif[_ORIENTATION] = 1
-            for tag in exif.keys() & _TIFF_STORAGE:
-                del exif[tag]
-            return picture.info.get(
-                "icc_profile"
-            ) or b"", exif.tobytes() if exif else b""
-    except Exception:  # whatever its header holds: the pixels were read
-        return b"", b""
 
 
 def _png_chunk(kind: bytes, content: bytes) -> bytes:
