@@ -8,11 +8,11 @@ decoded: a few kilobytes can state gigabytes."""
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import io
 import re
 import struct
-from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, cast
@@ -239,11 +239,30 @@ def _tiff_sizes(source: Path | io.BytesIO) -> list[tuple[int, int]]:
 
 
 def check_size(source: bytes | Path, path: Path, kind: str) -> None:
-    """Of every page of a picture; source : its bytes, or where a TIFF is that is too large for it.
+    """Of every page of a picture, as the header states it; source : its bytes, or where a TIFF is
+    that is too large for it.
 
     Raises InputError: damaged, or with more pixels than MAX_PIXELS[kind]."""
+    pages: list[tuple[int, int]] = []
     try:
-        pages = _sizes(source, path, kind)
+        if isinstance(source, Path):
+            pages = _tiff_sizes(source)
+        elif source.startswith(_TIFF):
+            pages = _tiff_sizes(io.BytesIO(source))
+        elif source.startswith(b"#?"):
+            if found := _HDR.search(source[:65536]):
+                pages = [(int(found[2]), int(found[1]))]
+        elif source.startswith(_EXR):
+            held = _exr_header(source)
+            for name in sorted(held.keys() & _WINDOWS):
+                x0, y0, x1, y1 = struct.unpack_from("<4i", source, held[name][0])
+                pages.append((x1 - x0 + 1, y1 - y0 + 1))
+        else:
+            with (
+                contextlib.suppress(UnidentifiedImageError),
+                open_picture(source, path, kind) as picture,
+            ):
+                pages = [picture.size]
     except InputError:
         raise
     except Exception as e:  # whatever the readers of headers stumble over
@@ -259,27 +278,3 @@ def check_size(source: bytes | Path, path: Path, kind: str) -> None:
                 f"{kind} {path} is {width}x{height}",
                 f"at most {most / 1e6:.0f} megapixels: scale it down",
             )
-
-
-def _sizes(data: bytes | Path, path: Path, kind: str) -> Sequence[tuple[int, int]]:
-    """(width, height) of every page as the header states it; none where the format is not known."""
-    if isinstance(data, Path):
-        return _tiff_sizes(data)
-    if data.startswith(_TIFF):
-        return _tiff_sizes(io.BytesIO(data))
-    if data.startswith(b"#?"):
-        found = _HDR.search(data[:65536])
-        return [(int(found[2]), int(found[1]))] if found else []
-    if data.startswith(_EXR):
-        held = _exr_header(data)
-        windows = [
-            struct.unpack_from("<4i", data, held[n][0]) for n in _WINDOWS if n in held
-        ]
-        return [
-            (right - left + 1, low - top + 1) for left, top, right, low in windows
-        ]
-    try:
-        with open_picture(data, path, kind) as picture:
-            return [picture.size]
-    except UnidentifiedImageError:
-        return []

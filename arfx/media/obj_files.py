@@ -98,7 +98,20 @@ def obj_meshes(file: ModelFile) -> Iterator[Placed]:
         file.notices.append("colours of vertices left out: not all have them")
     plain = plain_material(("colours", 0) in tables, double_sided=True)
     for name, lines in faces_of.items():
-        triangles, corners = _triangles(lines)
+        # as fans of corners; of these what the file counts by: place, texture coordinates,
+        # normal, 0 = none
+        polygons = [line.partition("#")[0].split() for line in lines]
+        fans = [
+            word
+            for polygon in polygons
+            for pair in pairwise(polygon[1:])
+            for word in (polygon[0], *pair)
+        ]
+        number = dict(zip(dict.fromkeys(fans), count(), strict=False))
+        filled = (word.rstrip("/").replace("//", "/0/") for word in number)
+        stated = [(*word.split("/"), "0", "0")[:3] for word in filled]
+        corners = np.array(stated, int).reshape(-1, 3)
+        triangles = np.array([number[word] for word in fans], int).reshape(-1, 3)
         own = {
             kind: table[corners[:, column] - 1]
             for (kind, column), table in tables.items()
@@ -167,23 +180,6 @@ def _table(rows: list[str], columns: int) -> np.ndarray:
         given = np.array([row[:columns] for row in words], float)
     out[:-1, : given.shape[1]] = given[:, :columns]
     return out
-
-
-def _triangles(lines: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Faces as fans: (m, 3) numbers of corners, and of these (k, 3) what the file counts by:
-    place, texture coordinates, normal; 0 = none."""
-    faces = [line.partition("#")[0].split() for line in lines]
-    fans = [
-        word
-        for face in faces
-        for pair in pairwise(face[1:])
-        for word in (face[0], *pair)
-    ]
-    number = dict(zip(dict.fromkeys(fans), count(), strict=False))
-    filled = (word.rstrip("/").replace("//", "/0/") for word in number)
-    return np.array([number[word] for word in fans], int).reshape(-1, 3), np.array(
-        [(*word.split("/"), "0", "0")[:3] for word in filled], int
-    ).reshape(-1, 3)
 
 
 def mtl_material(

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 
 from arfx.core.colour import SRGB
 from arfx.core.marker_codes import marker_cells
@@ -21,6 +22,7 @@ from arfx.errors import InputError
 from arfx.media.images import decode_picture
 from arfx.synth.description import Marker, Texture
 
+Shape = tuple[int, int]
 _ROOMS = tomllib.loads(Path(__file__).with_name("rooms.toml").read_text("utf-8"))
 
 
@@ -69,9 +71,7 @@ def texture_albedo(
     return np.clip(mix, 0.01, 0.95).astype(np.float32)
 
 
-def _smooth(
-    rng: np.random.Generator, shape: tuple[int, int], *cells: float
-) -> np.ndarray:
+def _smooth(rng: Generator, shape: Shape, *cells: float) -> np.ndarray:
     """Value noise 0..1 with features of that many texels down and across, at least one."""
     size = [int(n / max(cell, 1)) + 2 for n, cell in zip(shape, cells, strict=True)]
     grid = rng.random(size, np.float32)
@@ -79,8 +79,8 @@ def _smooth(
 
 
 def _octaves(
-    rng: np.random.Generator,
-    shape: tuple[int, int],
+    rng: Generator,
+    shape: Shape,
     cell_y: float,
     cell_x: float,
     count: int = 4,
@@ -92,9 +92,7 @@ def _octaves(
     return np.clip(0.5 + 0.25 * spread, 0, 1)
 
 
-def _wood(
-    rng: np.random.Generator, shape: tuple[int, int], cell: float
-) -> np.ndarray:
+def _wood(rng: Generator, shape: Shape, cell: float) -> np.ndarray:
     """Boards along x: grain stretched along the board, another tone and shift for each,
     dark joints.
     """
@@ -117,9 +115,7 @@ def _wood(
     return np.clip(grain, 0, 1)
 
 
-def _posters(
-    rng: np.random.Generator, shape: tuple[int, int], cell: float
-) -> np.ndarray:
+def _posters(rng: Generator, shape: Shape, cell: float) -> np.ndarray:
     """A wall with coloured posters of rectangles, discs and lines: strong corners for flow."""
     h, w = shape
     base = 0.55 + 0.12 * (_octaves(rng, shape, cell, cell, 3) - 0.5)
