@@ -66,8 +66,10 @@ class View:
     def without(self, number: int) -> View:
         """Without one of its corners."""
         names = ("ids", "board_m", "pixels")
-        rest = {name: np.delete(getattr(self, name), number, 0) for name in names}
-        return replace(self, **rest)
+        return replace(
+            self,
+            **{name: np.delete(getattr(self, name), number, 0) for name in names},
+        )
 
 
 def find_view(gray: np.ndarray, spec: BoardSpec, name: str) -> View | None:
@@ -113,8 +115,13 @@ def _refined(gray: np.ndarray, rough: np.ndarray, share: float) -> np.ndarray:
     between two of them.
     """
     rough = np.asarray(rough, np.float32).reshape(-1, 2)
-    nearest = cKDTree(rough).query(rough, 2)[0][:, 1].min()
-    half = int(np.clip(round(share * nearest), REFINE_MIN_PX, REFINE_MAX_PX))
+    half = int(
+        np.clip(
+            round(share * cKDTree(rough).query(rough, 2)[0][:, 1].min()),
+            REFINE_MIN_PX,
+            REFINE_MAX_PX,
+        )
+    )
     return cv2.cornerSubPix(gray, rough.copy(), (half, half), (-1, -1), STOP).astype(
         float
     )
@@ -151,9 +158,9 @@ def corner_sharpness(gray: np.ndarray, pixels: np.ndarray) -> float:
     """Steepest grey step per pixel around the corners over the contrast there: 1 / edge
     width in px, ~0.5 sharp, 0 blurred.
     """
-    places = np.round(pixels).tolist()
     patches = np.array(
-        [cv2.getRectSubPix(gray, (11, 11), at) for at in places], float
+        [cv2.getRectSubPix(gray, (11, 11), at) for at in np.round(pixels).tolist()],
+        float,
     )
     slopes = np.percentile(np.hypot(*np.gradient(patches, axis=(1, 2))), 95, (1, 2))
     low, high = np.percentile(patches, (5, 95), (1, 2))
@@ -222,8 +229,11 @@ def _working_spec(
     """A change of pattern, orientation or dictionary with which the board is found."""
     # the smallest dictionary of the same bits that holds the ids seen and the board's own
     own = spec.family.split("_")[0] == family.split("_")[0]
-    most = max(highest, spec.columns * spec.rows // 2 - 1)
-    name = spec.family if own else smallest_family(family, most)
+    name = (
+        spec.family
+        if own
+        else smallest_family(family, max(highest, spec.columns * spec.rows // 2 - 1))
+    )
     for columns, rows in ((spec.columns, spec.rows), (spec.rows, spec.columns)):
         for legacy in (spec.legacy, not spec.legacy):
             trial = replace(

@@ -155,11 +155,17 @@ def _board(spec: BoardSpec) -> _Print:
             np.ravel(board.getIds()), board.getObjPoints(), strict=True
         ):
             cells = ~marker_cells(spec.family, int(number))
-            place = 1000 * np.asarray(corners, float)[0, :2]
-            black.append(outlines(cells, 1000 * spec.marker_m / len(cells), place))
-    words = str(spec) + (" (inner corners)" if spec.kind == CHESSBOARD else "")
+            black.append(
+                outlines(
+                    cells,
+                    1000 * spec.marker_m / len(cells),
+                    1000 * np.asarray(corners, float)[0, :2],
+                )
+            )
     return _Print(
-        (columns * square, rows * square, 0.0), np.concatenate(black), words
+        (columns * square, rows * square, 0.0),
+        np.concatenate(black),
+        str(spec) + (" (inner corners)" if spec.kind == CHESSBOARD else ""),
     )
 
 
@@ -191,8 +197,13 @@ def _sheet(
     up = np.where(ticks % length == 0, 3.0, 1.5)
     lines = [[(x, y), (x + length, y)]]
     lines += [[(x + t, y - u), (x + t, y)] for t, u in zip(ticks, up, strict=True)]
-    words = f"{length:g} mm: measure this line; print at 100 %, not 'fit to page'"
-    texts.append((width / 2, y - 3.5, words))
+    texts.append(
+        (
+            width / 2,
+            y - 3.5,
+            f"{length:g} mm: measure this line; print at 100 %, not 'fit to page'",
+        )
+    )
     return Sheet(title, width, height, black, texts, np.array(lines))
 
 
@@ -218,30 +229,13 @@ def write_sheet(sheet: Sheet, path: Path, dpi: float = 300.0) -> None:
             )
         width, height = ((side + 1e-3) / scale for side in size)  # whole pixels
     from matplotlib import rc_context
-
-    figure = _figure(sheet, width, height)
-    # no random names
-    with (
-        atomic_write(path) as part,
-        rc_context({"svg.hashsalt": "arfx", "svg.fonttype": "none"}),
-    ):
-        figure.savefig(
-            part,
-            format=ending[1:],
-            dpi=dpi,
-            metadata={"Title": sheet.title, **UNDATED[ending]},
-        )
-
-
-def _figure(sheet: Sheet, width_mm: float, height_mm: float) -> Any:
-    """The sheet from its upper left corner, as large as that."""
     from matplotlib.figure import Figure
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path as Outline
 
-    figure = Figure(figsize=(width_mm / MM_PER_INCH, height_mm / MM_PER_INCH))
+    figure = Figure(figsize=(width / MM_PER_INCH, height / MM_PER_INCH))
     axes = figure.add_axes((0, 0, 1, 1))
-    axes.set(xlim=(0, width_mm), ylim=(height_mm, 0))
+    axes.set(xlim=(0, width), ylim=(height, 0))
     axes.set_axis_off()
     corners = np.concatenate(sheet.black)[:, [0, 1, 2, 3, 0]]
     outline = Outline.make_compound_path_from_polys(corners)
@@ -256,4 +250,14 @@ def _figure(sheet: Sheet, width_mm: float, height_mm: float) -> Any:
     size_pt = TEXT_MM / CAP_FRACTION / MM_PER_INCH * 72
     for text in sheet.texts:
         axes.text(*text, ha="center", va="baseline", fontsize=size_pt)
-    return figure
+    # no random names
+    with (
+        atomic_write(path) as part,
+        rc_context({"svg.hashsalt": "arfx", "svg.fonttype": "none"}),
+    ):
+        figure.savefig(
+            part,
+            format=ending[1:],
+            dpi=dpi,
+            metadata={"Title": sheet.title, **UNDATED[ending]},
+        )

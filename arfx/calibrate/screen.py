@@ -55,8 +55,12 @@ def drop_copies(views: Sequence[View]) -> tuple[list[View], list[Rejected]]:
         nearest = min(moved, default=np.inf)
         if nearest < SAME_VIEW_FRACTION * view.size[0]:
             twin = kept[moved.index(nearest)].name
-            reason = f"the same view as {twin}: its corners moved {nearest:.2f} px"
-            dropped.append(Rejected(view.name, reason))
+            dropped.append(
+                Rejected(
+                    view.name,
+                    f"the same view as {twin}: its corners moved {nearest:.2f} px",
+                )
+            )
         else:
             kept.append(view)
     return sorted(kept, key=list(views).index), dropped
@@ -92,8 +96,10 @@ def reject_views(
         return np.array([typical_px(pose_residual(v, camera)) for v in views])
 
     rng = np.random.default_rng(0)
-    picks = (rng.permutation(len(views))[:SUBSET_SIZE] for _ in range(SUBSETS))
-    tries = [errors_by([views[i] for i in pick]) for pick in picks]
+    tries = [
+        errors_by([views[i] for i in rng.permutation(len(views))[:SUBSET_SIZE]])
+        for _ in range(SUBSETS)
+    ]
     # A majority must agree; what the others say does not matter. A small subset must be
     # clearly better: its intrinsics are weaker, so equal agreement speaks for all views.
     tries.append(0.7 * errors_by(views))
@@ -155,8 +161,12 @@ def picture_sharpness(gray: np.ndarray) -> float:
     between frames of one clip.
     """
     share = 1 / max(1, round(gray.shape[1] / 640))
-    small = cv2.resize(gray, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
-    return float(cv2.Laplacian(small, cv2.CV_32F).var())
+    return float(
+        cv2.Laplacian(
+            cv2.resize(gray, None, fx=share, fy=share, interpolation=cv2.INTER_AREA),
+            cv2.CV_32F,
+        ).var()
+    )
 
 
 def sharpest_of_each(
@@ -165,11 +175,9 @@ def sharpest_of_each(
     """Of every `group` frames (name, gray) in a row the sharpest, so that 1 in `group` is
     searched for the board.
     """
-    groups = itertools.groupby(
-        enumerate(frames), lambda numbered: numbered[0] // group
-    )
-    for _, some in groups:
-        yield max((f for _, f in some), key=lambda f: picture_sharpness(f[1]))
+    number = itertools.count()
+    for _, some in itertools.groupby(frames, lambda _: next(number) // group):
+        yield max(some, key=lambda frame: picture_sharpness(frame[1]))
 
 
 def most_varied(views: Sequence[View], keep: int) -> list[View]:

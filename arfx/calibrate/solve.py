@@ -97,8 +97,14 @@ class Fit(NamedTuple):
     def noise_px(self) -> float:
         """Standard deviation of one coordinate of one corner, if errors are independent."""
         points = sum(map(len, self.residuals))
-        free = 2 * points - len(self.model.parameters) - 6 * len(self.views)
-        return self.rms_px * float(np.sqrt(points / max(1, free)))
+        return self.rms_px * float(
+            np.sqrt(
+                points
+                / max(
+                    1, 2 * points - len(self.model.parameters) - 6 * len(self.views)
+                )
+            )
+        )
 
     @property
     def view_rms_px(self) -> np.ndarray:
@@ -152,8 +158,9 @@ def fit(views: Sequence[View], model: LensModel) -> Fit:
             flags=model.flags,
             criteria=STOP,
         )
-        lens = np.ravel(distortion)[: max(5, model.free)]
-        camera = Camera(*views[0].size, matrix, lens)  # refuses what is not finite
+        camera = Camera(
+            *views[0].size, matrix, np.ravel(distortion)[: max(5, model.free)]
+        )  # refuses what is not finite
     except (cv2.error, ArfxError):
         raise NothingToDoError(
             f"{len(views)} views of the board do not determine a camera",
@@ -163,10 +170,17 @@ def fit(views: Sequence[View], model: LensModel) -> Fit:
     for view, rvec, tvec in zip(views, rotations, translations, strict=True):
         residual, jacobian = _residual(view, rvec, tvec, camera)
         residuals.append(residual)
-        own = model.by_parameters(jacobian)
-        derivatives.append(without_pose(own, jacobian[:, :6]))
-    turns = np.reshape(rotations, (-1, 3))
-    return Fit(model, camera, tuple(views), turns, residuals, derivatives)
+        derivatives.append(
+            without_pose(model.by_parameters(jacobian), jacobian[:, :6])
+        )
+    return Fit(
+        model,
+        camera,
+        tuple(views),
+        np.reshape(rotations, (-1, 3)),
+        residuals,
+        derivatives,
+    )
 
 
 def _residual(
@@ -224,8 +238,9 @@ def uncertainty(fitted: Fit) -> Uncertainty:
     # the correlations of independent errors: with few views the jackknife's are blind to some
     # directions
     larger = np.maximum(1.0, divide(jackknife, np.sqrt(np.diag(independent))))
-    covariance = independent * np.outer(scale * larger, scale * larger)
-    return Uncertainty(covariance, condition(normal))
+    return Uncertainty(
+        independent * np.outer(scale * larger, scale * larger), condition(normal)
+    )
 
 
 def _inverse(normal: np.ndarray) -> np.ndarray:
@@ -271,9 +286,9 @@ def choose_model(views: Sequence[View]) -> tuple[Evidence, list[Evidence]]:
     # difference
     for simple in usable:
         difference = simple.held_out_px**2 - best.held_out_px**2
-        error = np.std(difference, ddof=1) / np.sqrt(len(difference))
         if np.mean(difference) <= max(
-            error, LEAST_GAIN * 2 * best.held_out_rms_px**2
+            np.std(difference, ddof=1) / np.sqrt(len(difference)),
+            LEAST_GAIN * 2 * best.held_out_rms_px**2,
         ):
             return simple, table
     return best, table
@@ -288,8 +303,9 @@ def cross_validate(views: Sequence[View], model: LensModel) -> Evidence:
         if folds == 3:  # none can be held out: residuals, and what fitting took away
             held_out[:] = fitted.noise_px * np.sqrt(2)
         for k in range(folds) if folds > 3 else ():
-            others = [v for i, v in enumerate(views) if i % folds != k]
-            camera = fit(others, model).camera
+            camera = fit(
+                [v for i, v in enumerate(views) if i % folds != k], model
+            ).camera
             held_out[k::folds] = [
                 rms(pose_residual(v, camera)) for v in views[k::folds]
             ]
@@ -312,6 +328,9 @@ def one_to_one(camera: Camera) -> bool:
 
 def grid_pixels(camera: Camera, across: int, down: int) -> np.ndarray:
     """(n, 2) pixels spread evenly over the picture, borders included."""
-    x = np.linspace(0, camera.width - 1, across)
-    y = np.linspace(0, camera.height - 1, down)
-    return np.dstack(np.meshgrid(x, y)).reshape(-1, 2)
+    return np.dstack(
+        np.meshgrid(
+            np.linspace(0, camera.width - 1, across),
+            np.linspace(0, camera.height - 1, down),
+        )
+    ).reshape(-1, 2)

@@ -26,6 +26,7 @@ from arfx.core.opener import (
     parse_json,
     read_bytes,
 )
+from arfx.errors import InputError
 
 SUPPORTED = (
     "OpenCV YAML, XML or JSON (camera_matrix, distortion_coefficients, image_width,"
@@ -37,15 +38,12 @@ TABLES = tomllib.loads(Path(__file__).with_name("cameras.toml").read_text("utf-8
 # The middle of the top left pixel is (0.5, 0.5) there and (0, 0) here.
 _COLMAP_CENTRE_PX = 0.5
 _COLMAP_ROW = re.compile(r"\d+ [A-Z][A-Z_]+ ")
+Document = Mapping[str, Any]  # names and values
 
 
-class CameraFileError(Exception):
-    """A camera file that is not read.
-
-    what : is wrong;  hint : what would be right"""
-
-    def __init__(self, what: str, hint: str = f"supported: {SUPPORTED}") -> None:
-        self.what, self.hint = what, hint
+class CameraFileError(InputError):
+    """A camera file that is not read: what is wrong; and, unless a format of SUPPORTED would
+    be right, what would be."""
 
 
 class _Loader(yaml.SafeLoader):
@@ -73,7 +71,7 @@ for _tag in ("opencv-matrix", "opencv-nd-matrix"):
     )
 
 
-def read_document(path: Path) -> Mapping[str, Any]:
+def read_document(path: Path) -> Document:
     """Names and values; of COLMAP those of each camera by its number, named as by Kalibr.
 
     Raises CameraFileError, InputError."""
@@ -131,7 +129,7 @@ def _unpacked(data: bytes) -> bytes:
     return out
 
 
-def _numpy(data: bytes) -> Mapping[str, Any]:
+def _numpy(data: bytes) -> Document:
     """Arrays by name, without those that hold Python objects."""
     out: dict[str, Any] = {}
     try:
@@ -173,8 +171,10 @@ def _colmap(rows: list[list[Any]]) -> dict[str, Any]:
         names = TABLES["colmap"].get(model, "")
         values = numbers(given, f"camera {camera}")
         if names and len(values) != len(names.split()):
-            what = f"{model} has {len(values)} parameters"
-            raise CameraFileError(what, f"{len(names.split())}: {names}")
+            raise CameraFileError(
+                f"{model} has {len(values)} parameters",
+                f"{len(names.split())}: {names}",
+            )
         focals = 1 if names.startswith("f ") else 2
         centre = values[focals : focals + 2] - _COLMAP_CENTRE_PX
         cameras[camera] = {
@@ -186,7 +186,7 @@ def _colmap(rows: list[list[Any]]) -> dict[str, Any]:
     return cameras
 
 
-def _parse(text: str) -> Mapping[str, Any]:
+def _parse(text: str) -> Document:
     try:
         if text.lstrip().startswith("<"):
             return _xml(text)
@@ -209,14 +209,16 @@ def _parse(text: str) -> Mapping[str, Any]:
     return document
 
 
-def _xml(text: str) -> Mapping[str, Any]:
+def _xml(text: str) -> Document:
     """OpenCV's: matrices hold their numbers in <data>."""
     if "<!DOCTYPE" in text:
         raise ValueError("a DOCTYPE is not read")
     root = ElementTree.fromstring(text)
     if root.tag != "opencv_storage":
-        what = f"it is XML of another program (<{root.tag[:40]}>)"
-        raise CameraFileError(what, f"export it for OpenCV; supported: {SUPPORTED}")
+        raise CameraFileError(
+            f"it is XML of another program (<{root.tag[:40]}>)",
+            f"export it for OpenCV; supported: {SUPPORTED}",
+        )
     out: dict[str, Any] = {}
     for node in root:
         words = (node.findtext("data") or node.text or "").split()

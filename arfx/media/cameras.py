@@ -24,8 +24,10 @@ from arfx.core.camera import BROWN, FISHEYE, Camera
 from arfx.core.guard import atomic_write
 from arfx.errors import InputError
 from arfx.media.camera_documents import (
+    SUPPORTED,
     TABLES,
     CameraFileError,
+    Document,
     number,
     numbers,
     read_document,
@@ -63,11 +65,13 @@ def load_camera(path: str | Path) -> Camera:
         camera = _from_names(document, str(path))
         _check(camera)
     except CameraFileError as e:
-        raise InputError(f"camera file {path}: {e.what}", e.hint) from None
+        raise InputError(
+            f"camera file {path}: {e.message}", e.hint or f"supported: {SUPPORTED}"
+        ) from None
     return camera
 
 
-def _from_names(document: Mapping[str, Any], where: str) -> Camera:
+def _from_names(document: Document, where: str) -> Camera:
     """The same things under different names. Raises CameraFileError, InputError."""
     flat = _flat(document)
     words = [_first(flat, _NAMES["model"])]
@@ -75,8 +79,10 @@ def _from_names(document: Mapping[str, Any], where: str) -> Camera:
         words.append(flat.get("cameramodel"))
     models = {str(word).lower() for word in words if word}
     if unknown := models.difference(*_LENSES.values()):
-        what = f"lens model {' '.join(unknown)!r} is not supported"
-        raise CameraFileError(what, "plumb_bob, rational_polynomial, equidistant")
+        raise CameraFileError(
+            f"lens model {' '.join(unknown)!r} is not supported",
+            "plumb_bob, rational_polynomial, equidistant",
+        )
     # OpenCV's calibration sample marks a fisheye calibration with `fisheye_model: 1`
     fisheye = (
         models.intersection(_LENSES["fisheye"])
@@ -106,11 +112,12 @@ def _from_names(document: Mapping[str, Any], where: str) -> Camera:
         lens = lens[:4]
     if 0 < lens.size < 4:  # "k1" or "k1, k2": the rest is zero
         lens = np.append(lens, np.zeros(4))[:4]
-    model = FISHEYE if fisheye else BROWN
-    return Camera(*_size(flat), matrix.reshape(3, 3), lens, model, where)
+    return Camera(
+        *_size(flat), matrix.reshape(3, 3), lens, FISHEYE if fisheye else BROWN, where
+    )
 
 
-def _size(flat: Mapping[str, Any]) -> tuple[int, int]:
+def _size(flat: Document) -> tuple[int, int]:
     stated = _first(flat, _NAMES["size"])
     if isinstance(stated, Mapping):
         stated = [stated.get("width"), stated.get("height")]
@@ -126,16 +133,17 @@ def _size(flat: Mapping[str, Any]) -> tuple[int, int]:
         )
     sides = numbers(stated, "the picture size")
     if [side.is_integer() for side in sides] != [True, True]:
-        what = "picture size {} x {}".format(*stated)
-        raise CameraFileError(what, "two whole numbers of pixels")
+        raise CameraFileError(
+            "picture size {} x {}".format(*stated), "two whole numbers of pixels"
+        )
     return int(sides[0]), int(sides[1])
 
 
-def _flat(document: Mapping[str, Any]) -> dict[str, Any]:
+def _flat(document: Document) -> dict[str, Any]:
     return {str(k).lower().replace("_", ""): v for k, v in document.items()}
 
 
-def _first(flat: Mapping[str, Any], names: Sequence[str]) -> Any:
+def _first(flat: Document, names: Sequence[str]) -> Any:
     return next((flat[n] for n in names if flat.get(n) is not None), None)
 
 
@@ -191,8 +199,9 @@ def _stored_matrix(m: np.ndarray) -> dict[str, Any]:
 def _check(camera: Camera) -> None:
     """Raises CameraFileError: a matrix of another shape, numbers that no camera has."""
     m = camera.matrix
-    form = np.array([[m[0, 0], 0, m[0, 2]], [0, m[1, 1], m[1, 2]], [0, 0, 1]])
-    off = np.abs(m - form) > 1e-6 * np.array([[camera.fx], [camera.fy], [1]])
+    off = np.abs(
+        m - np.array([[m[0, 0], 0, m[0, 2]], [0, m[1, 1], m[1, 2]], [0, 0, 1]])
+    ) > 1e-6 * np.array([[camera.fx], [camera.fy], [1]])
     for name, row, wrong in zip(("first", "second", "last"), m, off, strict=True):
         if wrong.any():
             numbers = " ".join(f"{v:g}" for v in row)
@@ -204,7 +213,7 @@ def _check(camera: Camera) -> None:
         raise CameraFileError(what, hint)
 
 
-def camera_warnings(camera: Camera, claims: Mapping[str, Any]) -> list[str]:
+def camera_warnings(camera: Camera, claims: Document) -> list[str]:
     """Notices of what is unusual and may be meant, and of what a calibration admits of itself.
 
     claims : as of `calibration_claims`"""
@@ -238,12 +247,11 @@ def calibration_claims(path: str | Path) -> dict[str, Any]:
     """
     try:
         flat = _flat(read_document(Path(path)))
-    except (InputError, CameraFileError):  # one camera of a file that holds several
+    except InputError:  # one camera of a file that holds several
         return {}
-    kinds = {"verdict": str, "reasons": list}
     out = {
         key: flat[key]
-        for key, kind in kinds.items()
+        for key, kind in {"verdict": str, "reasons": list}.items()
         if isinstance(flat.get(key), kind)
     }
     with contextlib.suppress(TypeError, ValueError):

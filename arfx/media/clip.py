@@ -22,7 +22,7 @@ from arfx.core.colour import SRGB, Transfer
 from arfx.core.opener import why
 from arfx.errors import InputError
 from arfx.media import hdr
-from arfx.media.codecs import check_size, open_video
+from arfx.media.codecs import TABLES, check_size, open_video
 from arfx.media.photos import is_photo
 from arfx.media.planes import (
     FrameFormat,
@@ -35,15 +35,6 @@ from arfx.media.planes import (
 UNSPECIFIED = 2
 PHOTO = "photo"  # container of one picture
 MAX_PIXEL_ASPECT = 10.0  # anamorphic video reaches 2
-_MATRIX = {
-    1: "bt709",
-    4: "fcc",
-    5: "bt601",
-    6: "bt601",
-    7: "smpte240m",
-    9: "bt2020",
-    10: "bt2020",
-}  # ITU-T H.273 table 4
 # from this field order on a clip is interlaced; the odd ones show the bottom field first
 _FIELDS = 2
 _MIDDLE_SITED = ("mjpeg", "mpeg1video", "jpeg2000")
@@ -238,9 +229,6 @@ def _first_picture(container: Any, stream: Any, path: Path) -> av.VideoFrame:
                 for picture in packet.decode():
                     return picture
             break
-        except av.error.EOFError as e:
-            reason = why(e)
-            break
         except (av.error.FFmpegError, OSError) as e:
             reason = why(e)
     raise InputError(
@@ -263,7 +251,7 @@ def _info(
     beside = hdr.side_data(first)
     notices += hdr.left_out(beside)
     transfer = hdr.TRANSFERS.get(trc, transfer)
-    matrix = _MATRIX.get(space)
+    matrix = TABLES["matrices"].get(str(space))
     if matrix is None:
         matrix = "bt709" if first.height >= 720 else "bt601"
         if layout.kind == "yuv":
@@ -274,17 +262,15 @@ def _info(
                 f"the stream {says}: {matrix} is used ({first.height} lines)"
             )
     range_tag = int(first.color_range) or int(ctx.color_range)
-    whole = {"yuv": (2,), "gray": (0, 2), "rgb": (0, 1, 2)}[layout.kind]
-    full = range_tag in whole or first.format.name.startswith("yuvj")
+    whole = {"yuv": "2", "gray": "02", "rgb": "012"}[layout.kind]
+    full = str(range_tag) in whole or first.format.name.startswith("yuvj")
     turn = _display_matrix(first, beside)
     orientation, exact = orientation_of(turn)
     if not exact:
         notices.append(
             "the display matrix is no multiple of 90 degrees; the nearest is used"
         )
-    order = int(ctx.field_order)
-    if first.interlaced_frame and order < _FIELDS:
-        order = _FIELDS
+    order = max(int(ctx.field_order), _FIELDS * first.interlaced_frame)
     if order >= _FIELDS:
         notices.append(
             "the clip is interlaced; its fields are processed as one picture"
@@ -301,7 +287,10 @@ def _info(
             f"the pixels are not square: {stored}, pixel aspect"
             f" {sample.numerator}:{sample.denominator}, {used}"
         )
-    duration = _tagged_duration(stream.metadata)
+    # Matroska's own of the stream
+    duration, tag = None, stream.metadata.get("DURATION", "")
+    if m := re.fullmatch(r"(\d+):(\d\d):(\d\d(?:\.\d+)?)", tag):
+        duration = int(m[1]) * 3600 + int(m[2]) * 60 + Fraction(m[3])
     if stream.duration:
         duration = stream.duration * stream.time_base
     of_video = duration is not None or len(container.streams) == 1
@@ -358,12 +347,6 @@ def _display_matrix(
     angle = math.radians(picture.rotation)
     c, s = (round(f(angle) * (1 << 16)) for f in (math.cos, math.sin))
     return c, -s, 0, s, c, 0, 0, 0, 1 << 30
-
-
-def _tagged_duration(metadata: dict[str, str]) -> Fraction | None:
-    """Matroska's per-stream DURATION tag, "00:00:05.005000000"."""
-    m = re.fullmatch(r"(\d+):(\d\d):(\d\d(?:\.\d+)?)", metadata.get("DURATION", ""))
-    return int(m[1]) * 3600 + int(m[2]) * 60 + Fraction(m[3]) if m else None
 
 
 class Match(NamedTuple):

@@ -5,6 +5,7 @@ hold."""
 from __future__ import annotations
 
 import os
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -34,21 +35,10 @@ CONTAINERS = (
 )
 _OPTIONS = {"format_whitelist": CONTAINERS, "protocol_whitelist": "file"}
 MAX_SIDE = 8192  # of a frame: a picture of this square in linear light takes 800 MB
-_PICTURES = (
-    b"\x89PNG",
-    b"\xff\xd8\xff",
-    b"II*\0",
-    b"MM\0*",
-    b"II+\0",
-    b"MM\0+",
-    b"BM",
-    b"v/1\x01",
-    b"#?RADIANCE",
-    b"\0\0\0\x0cjP  ",
-    b"P5\n",
-    b"P6\n",
-    b"8BPS",
-    b"%!PS",
+_PICTURE = re.compile(
+    rb"\x89PNG|\xff\xd8\xff|II[*+]\0|MM\0[*+]|BM|v/1\x01|#\?RADIANCE|\0\0\0\x0cjP  |P[56]\n"
+    rb"|8BPS|%!PS|.{8}WEBP",
+    re.DOTALL,
 )
 
 
@@ -90,12 +80,12 @@ class Codec:
         return tuple(f for f in known if f.name == f.plain_name)
 
 
-_TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
-CODECS = {name: Codec(name, **fields) for name, fields in _TABLES["codecs"].items()}
-ALIASES: dict[str, str] = _TABLES["aliases"]
-SUFFIX_CONTAINER: dict[str, str] = _TABLES["containers"]
+TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
+CODECS = {name: Codec(name, **fields) for name, fields in TABLES["codecs"].items()}
+ALIASES: dict[str, str] = TABLES["aliases"]
+SUFFIX_CONTAINER: dict[str, str] = TABLES["containers"]
 CONTAINER_SUFFIX = {name: suffix for suffix, name in SUFFIX_CONTAINER.items()}
-CLIP_SUFFIXES = frozenset[str](_TABLES["clip_suffixes"])
+CLIP_SUFFIXES = frozenset[str](TABLES["clip_suffixes"])
 
 
 def open_encoder(context: Any) -> None:
@@ -124,12 +114,12 @@ def nearest_format(
     return None if best is None else able[best.name]
 
 
-def open_video(path: Path, kind: str = "clip") -> Any:
-    """A container for reading; a photo is a clip of one frame. kind : as in opener.LIMITS
+def open_video(path: Path) -> Any:
+    """A container for reading; a photo is a clip of one frame.
     Raises InputError: not a regular file, not a video, or a list of other files (playlist,
     concat script)."""
-    regular(path, kind)
-    if kind == "clip" and is_photo(path):
+    regular(path, "clip")
+    if is_photo(path):
         return open_photo(path)
     try:
         return av.open(
@@ -143,18 +133,18 @@ def open_video(path: Path, kind: str = "clip") -> Any:
             reason = "it is of a format that is not read"
             hint = "convert it to .mp4 or .mkv"
         raise InputError(
-            f"{kind} {path} cannot be read as a video: {reason or why(e)}",
+            f"clip {path} cannot be read as a video: {reason or why(e)}",
             hint
             or "a file that FFmpeg can decode; a recording that was cut off before its index"
             " was written may be repairable",
         ) from e
 
 
-def check_size(width: int, height: int, path: Path, kind: str = "clip") -> None:
+def check_size(width: int, height: int, path: Path) -> None:
     """Raises InputError for pictures too large to work on."""
     if max(width, height) > MAX_SIDE:
         raise InputError(
-            f"{kind} {path} has pictures of {width}x{height}",
+            f"clip {path} has pictures of {width}x{height}",
             f"at most {MAX_SIDE} px a side: scale it down",
         )
 
@@ -175,7 +165,7 @@ def _diagnose(path: Path) -> tuple[str, str]:
         head = f.read(1024)
     if not head:
         return "it is empty", "is the recording complete?"
-    if head.startswith(_PICTURES) or head[8:12] == b"WEBP":
+    if _PICTURE.match(head):
         return "it is a picture of a kind that is not read", "save it as PNG or JPEG"
     if all(b >= 32 or b in b"\t\r\n\f" for b in head.removeprefix(b"\xef\xbb\xbf")):
         return (

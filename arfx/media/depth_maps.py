@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import re
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,8 +23,7 @@ import numpy as np
 from arfx.core.numerics import divide
 from arfx.core.opener import folder_entries, is_folder, read_bytes, regular
 from arfx.errors import InputError
-from arfx.media.clip import ClipInfo, match_by_time, match_in_order, probe, spacing_s
-from arfx.media.frame import Frame
+from arfx.media.clip import match_by_time, match_in_order, probe, spacing_s
 from arfx.media.frames import ClipReader
 from arfx.media.images import check_size, decode_picture
 from arfx.media.planes import planes_of
@@ -45,51 +44,53 @@ SIGMA = 6.0  # grey levels that count as an edge
 _FAINT = 1e-6  # a mask smoothed to less than this carries nothing: the nearest known value is used
 
 
-class _Video(threading.local):
-    """Frames of a video as maps; of each thread the last one, and those behind it."""
-
-    number = -2
-    stored = np.zeros((0, 0), np.uint16)
-    frames: Iterator[Frame] = iter(())
-
-    def __init__(self, info: ClipInfo, pts: list[int]) -> None:
-        """pts : of every frame, in order"""
-        self.info, self.pts = info, pts
-
-    def __call__(self, number: int) -> np.ndarray:
-        """(h, w) uint16. Raises InputError where the frame cannot be decoded."""
-        if number == self.number:
-            return self.stored
-        if number != self.number + 1:
-            self.frames = ClipReader(self.info, threads=1).frames(self.pts[number])
-        self.number, frame = -2, next(self.frames, None)
-        if frame is None or frame.pts != self.pts[number]:
-            what = f"map {number} cannot be decoded where it was listed"
-            raise InputError(f"depth {self.info.path}: {what}", "the file is damaged")
-        samples = planes_of(frame.picture, frame.format.layout)[0]
-        self.number, self.stored = number, samples[:, : frame.format.width]
-        return self.stored
+Read = Callable[[int], np.ndarray]
 
 
-def _open_video(path: Path) -> tuple[_Video, tuple[float, ...]]:
-    """And the times of its frames after the first. Raises InputError: it holds no depth."""
+def _open_video(path: Path) -> tuple[Read, tuple[float, ...]]:
+    """What reads a frame as a map, and the times of all after the first.
+
+    Raises InputError: it holds no depth; when read: the frame cannot be decoded."""
     info = probe(path)
     if not re.fullmatch(r"gray1\d[lb]e", info.pixel_format):
-        what = f"depth {path} holds {info.pixel_format} pictures, not depth"
-        raise InputError(what, "grey of 16 bits: FFV1 gray16 in .mkv")
+        raise InputError(
+            f"depth {path} holds {info.pixel_format} pictures, not depth",
+            "grey of 16 bits: FFV1 gray16 in .mkv",
+        )
     with ClipReader(info, threads=1) as reader:
         times = reader.times()
         pts = [frame.pts for frame in reader.frames()] if times is None else times.pts
-    seconds = tuple(float((t - pts[0]) * info.time_base) for t in pts)
-    return _Video(info, list(pts)), seconds
+    kept = (
+        threading.local()
+    )  # last : of each thread the last map, and what is behind it
+
+    def read(number: int) -> np.ndarray:
+        last, stored, frames = vars(kept).get("last", (-2, None, None))
+        if number == last:
+            return stored
+        if number != last + 1:
+            frames = ClipReader(info, threads=1).frames(pts[number])
+        frame = next(frames, None)
+        if frame is None or frame.pts != pts[number]:
+            what = f"map {number} cannot be decoded where it was listed"
+            raise InputError(f"depth {path}: {what}", "the file is damaged")
+        stored = planes_of(frame.picture, frame.format.layout)[0][
+            :, : info.coded_width
+        ]
+        kept.last = number, stored, frames
+        return stored
+
+    return read, tuple(float((t - pts[0]) * info.time_base) for t in pts)
 
 
 def _page(path: Path, number: int) -> np.ndarray:
     """(h, w[, channels]) of a TIFF as stored. Raises InputError where it cannot be read."""
     done, pages = cv2.imreadmulti(str(path), number, 1, flags=cv2.IMREAD_UNCHANGED)
     if not done or len(pages) != 1:
-        what = f"depth {path}: page {number} cannot be read"
-        raise InputError(what, "TIFF with 16-bit or float pages")
+        raise InputError(
+            f"depth {path}: page {number} cannot be read",
+            "TIFF with 16-bit or float pages",
+        )
     return np.asarray(pages[0])
 
 
@@ -107,7 +108,7 @@ class DepthMaps:
     steps_per_m: float | None
     start_s: float
     times_s: tuple[float, ...] | None = None
-    read: Callable[[int], np.ndarray] | None = None
+    read: Read | None = None
 
     @property
     def still(self) -> bool:
@@ -128,8 +129,11 @@ class DepthMaps:
         if self.still:
             return [0] * len(times_s)
         if self.times_s is not None:
-            taken_s = np.array(self.times_s) + self.start_s
-            found = match_by_time(taken_s, times_s, _REACH * spacing_s(self.times_s))
+            found = match_by_time(
+                np.array(self.times_s) + self.start_s,
+                times_s,
+                _REACH * spacing_s(self.times_s),
+            )
             return [None if m is None else m.nearest for m in found]
         what = f"depth {self.path} holds {self.count} maps"
         hint = (
@@ -142,24 +146,6 @@ class DepthMaps:
         """(h, w) float32 metres of a map at its own size; nothing measured = 0.
         width, height : of the clip. Raises InputError: unreadable, of another kind or shape.
         """
-        stored = self._stored(number)
-        h, w = stored.shape
-        if abs(w * height / (h * width) - 1) > _ASPECT:
-            shapes = f"is {w}x{h}, the clip {width}x{height}: another shape"
-            hint = "maps as the clip is shown, of its size or the same aspect ratio"
-            raise InputError(f"depth map {self.name(number)} {shapes}", hint)
-        steps = self.steps_per_m or (
-            _STEPS_A_METRE if stored.dtype.kind == "u" else 1.0
-        )
-        with np.errstate(all="ignore"):
-            metres = stored.astype(np.float32) / np.float32(steps)
-            good = np.isfinite(metres) & (metres > 0)
-            if stored.dtype.kind == "u":
-                good &= stored < np.iinfo(stored.dtype).max
-        return np.where(good, metres, np.float32(0))
-
-    def _stored(self, number: int) -> np.ndarray:
-        """(h, w) uint16 or float32."""
         if self.read:
             raw = self.read(number)
         else:
@@ -173,7 +159,20 @@ class DepthMaps:
                 f"depth map {self.name(number)} holds {kind}, not depth",
                 "one channel of 16 bits: a PNG or PGM as RGB-D cameras give",
             )
-        return raw
+        h, w = raw.shape
+        if abs(w * height / (h * width) - 1) > _ASPECT:
+            shapes = f"is {w}x{h}, the clip {width}x{height}: another shape"
+            raise InputError(
+                f"depth map {self.name(number)} {shapes}",
+                "maps as the clip is shown, of its size or the same aspect ratio",
+            )
+        most, usual = np.inf, 1.0
+        if raw.dtype == np.uint16:
+            most, usual = 0xFFFF, _STEPS_A_METRE
+        with np.errstate(all="ignore"):
+            metres = raw.astype(np.float32) / np.float32(self.steps_per_m or usual)
+            good = np.isfinite(metres) & (metres > 0) & (raw < most)
+        return np.where(good, metres, np.float32(0))
 
     def digest(self, number: int) -> str:
         """Of a map's file, or of its values."""
@@ -199,8 +198,9 @@ def open_depth(
             if count < 1:
                 hint = "16-bit or float pages"
                 raise InputError(f"depth {path} cannot be read as a TIFF", hint)
-            page = partial(_page, path)
-            return DepthMaps(path, (path,), count, steps_per_m, start_s, None, page)
+            return DepthMaps(
+                path, (path,), count, steps_per_m, start_s, None, partial(_page, path)
+            )
         if suffix in VIDEO:
             read, times_s = _open_video(path)
             count = len(times_s)
@@ -211,8 +211,17 @@ def open_depth(
             hint = f"{_KINDS}; a folder of them; or a video of 16-bit grey (FFV1)"
             raise InputError(f"depth {path} is not a depth map", hint)
         return DepthMaps(path, (path,), 1, steps_per_m, start_s)
-    inside = folder_entries(path, "depth folder")
-    found = sorted((p for p in inside if p.suffix.lower() in SUFFIXES), key=_natural)
+    found = sorted(
+        (
+            p
+            for p in folder_entries(path, "depth folder")
+            if p.suffix.lower() in SUFFIXES
+        ),
+        key=lambda p: (  # 2 before 10
+            [int(x) if x.isdecimal() else x for x in re.split(r"(\d+)", p.stem)],
+            p.name,
+        ),
+    )
     if not found:
         raise InputError(f"depth folder {path} holds no depth map", _KINDS)
     for p in found:
@@ -231,12 +240,6 @@ def open_depth(
             raise InputError(what)
         since_s = tuple((times - times[0]).tolist())
     return DepthMaps(path, tuple(found), len(found), steps_per_m, start_s, since_s)
-
-
-def _natural(path: Path) -> tuple[list[int | str], str]:
-    """2 before 10."""
-    parts = re.split(r"(\d+)", path.stem)
-    return [int(p) if p.isdecimal() else p for p in parts], path.name
 
 
 def fill_holes(depth_m: np.ndarray, guide: np.ndarray) -> np.ndarray:
@@ -274,8 +277,12 @@ def fill_holes(depth_m: np.ndarray, guide: np.ndarray) -> np.ndarray:
     of_label = np.zeros(int(label.max()) + 1, np.float32)
     of_label[label[known]] = dioptre[known]  # of the nearest known pixel
     least, most = dioptre[known].min(), dioptre[known].max()
-    spread = np.clip(divide(value, total), least, most)
-    taken = divide(1.0, np.where(total > _FAINT, spread, of_label[label])).astype(
-        np.float32
-    )
+    taken = divide(
+        1.0,
+        np.where(
+            total > _FAINT,
+            np.clip(divide(value, total), least, most),
+            of_label[label],
+        ),
+    ).astype(np.float32)
     return np.where(known, depth_m, taken)

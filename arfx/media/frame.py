@@ -70,23 +70,10 @@ class Frame:
         out.setflags(write=False)
         return out
 
-    def rgb8(self) -> np.ndarray:
-        """(h, w, 3) uint8 R'G'B' of the whole upright picture, for looking at."""
-        return np.ascontiguousarray(self._rgb24())
+    def rgb8(self, **how: Any) -> np.ndarray:
+        """(h, w, 3) uint8 R'G'B' of the whole upright picture, for looking at.
 
-    def reduced(self, width: int) -> np.ndarray:
-        """(h, w, 3) float32 linear RGB of the whole upright picture, at most `width` px
-        wide; averaged in coded values.
-        """
-        f, small = self.format, min(1.0, width / self.rect.width)
-        width, height = (max(round(side * small), 1) for side in (f.width, f.height))
-        coded = self._rgb24(width=width, height=height, interpolation="AREA")
-        return np.take(
-            f.transfer.decode(np.arange(256) / 255).astype(np.float32), coded
-        )
-
-    def _rgb24(self, **how: Any) -> np.ndarray:
-        """The whole upright picture. how : as of `reformat`"""
+        how : as of `reformat`"""
         f = self.format
         shown = self.picture.reformat(
             format="rgb24",
@@ -95,7 +82,18 @@ class Frame:
             dst_color_range=2,
             **how,
         )
-        return f.orientation.upright(shown.to_ndarray())
+        return np.ascontiguousarray(f.orientation.upright(shown.to_ndarray()))
+
+    def reduced(self, width: int) -> np.ndarray:
+        """(h, w, 3) float32 linear RGB of the whole upright picture, at most `width` px
+        wide; averaged in coded values.
+        """
+        f, small = self.format, min(1.0, width / self.rect.width)
+        width, height = (max(round(side * small), 1) for side in (f.width, f.height))
+        return np.take(
+            f.transfer.decode(np.arange(256) / 255).astype(np.float32),
+            self.rgb8(width=width, height=height, interpolation="AREA"),
+        )
 
     def _coded(self, rect: Rect) -> tuple[int, ...]:
         if rect.empty or not self.rect.contains(rect):
@@ -137,8 +135,11 @@ class Frame:
         if not len(pixels):
             return np.zeros((0, 3), np.float32)
         (x0, y0), (x1, y1) = pixels.min(0).tolist(), pixels.max(0).tolist()
-        around = self.linear(Rect(x0, y0, x1 + 1, y1 + 1))
-        return np.ascontiguousarray(around[pixels[:, 1] - y0, pixels[:, 0] - x0])
+        return np.ascontiguousarray(
+            self.linear(Rect(x0, y0, x1 + 1, y1 + 1))[
+                pixels[:, 1] - y0, pixels[:, 0] - x0
+            ]
+        )
 
     def edited(self, rect: Rect, before: np.ndarray, after: np.ndarray) -> Frame:
         """A new frame whose stored samples differ by convert(after) - convert(before)
@@ -164,8 +165,7 @@ class Frame:
             samples.three(planes_of(p, f.layout)) for p in (self.picture, picture)
         )
         light = (packed(f.orientation.coded(x)) for x in (before, after))
-        scratch = samples.scratch_for(s, r)
-        if not samples.add(s, old, new, r, *light, scratch):
+        if not samples.add(s, old, new, r, *light, samples.scratch_for(s, r)):
             bad = np.count_nonzero(~np.isfinite(after).all(-1))
             raise RenderError(
                 f"frame {self.index}: {bad} edited pixels in {[*rect]} are not"

@@ -35,6 +35,7 @@ _HELD = 100  # packets of which something is lost, and that may be the last ones
 # of the usual time between frames: a packet that is nearer to a frame is part of it, as a
 # field is
 _APART = 0.6
+Timed = Iterator[tuple[av.VideoFrame, int]]  # pictures and their times
 
 
 class FrameTimesError(InputError):
@@ -129,9 +130,13 @@ class ClipReader:
             if last_pts is not None and pts > last_pts:
                 return
             if first_pts is None or pts >= first_pts:
-                held = repacked(picture, self._format.layout.name)
-                key = bool(picture.key_frame)
-                yield Frame(held, self._format, next(index), pts, key)
+                yield Frame(
+                    repacked(picture, self._format.layout.name),
+                    self._format,
+                    next(index),
+                    pts,
+                    bool(picture.key_frame),
+                )
 
     def times(self) -> FrameTimes | None:
         """None where packets do not tell: a time is missing, there twice, or they go back."""
@@ -150,8 +155,12 @@ class ClipReader:
                 keys.append(time)
         if len(set(pts)) < len(pts):
             return None
-        irregular = self.damaged or bool(self._stopped)
-        return FrameTimes(sorted(pts), sorted(keys), self._verdict(True), irregular)
+        return FrameTimes(
+            sorted(pts),
+            sorted(keys),
+            self._verdict(True),
+            self.damaged or bool(self._stopped),
+        )
 
     def shifts(self) -> list[int]:
         """What frames' times are given beside those of the file, after each place where
@@ -176,7 +185,7 @@ class ClipReader:
         """Whether decoding can begin at the key frame of that time, or one before it."""
         return next(self._from_key_frame(pts), None) is not None
 
-    def _pictures(self, first_pts: int | None) -> Iterator[tuple[av.VideoFrame, int]]:
+    def _pictures(self, first_pts: int | None) -> Timed:
         """All from a key frame at or before first_pts on."""
         if first_pts is not None and first_pts > self.info.start_pts and self._seeks:
             found = self._from_key_frame(first_pts)
@@ -187,7 +196,7 @@ class ClipReader:
         yield from self._timed(self._decode(self._open()))
         self.truncated = self._verdict(True)
 
-    def _from_key_frame(self, first_pts: int) -> Iterator[tuple[av.VideoFrame, int]]:
+    def _from_key_frame(self, first_pts: int) -> Timed:
         """Frames from first_pts on, or nothing at all when the key frame before it cannot
         be found for sure.
         """
@@ -290,9 +299,7 @@ class ClipReader:
             "the file ends in the middle of a frame" if held or cut else stopped
         )
 
-    def _timed(
-        self, pictures: Iterator[av.VideoFrame]
-    ) -> Iterator[tuple[av.VideoFrame, int]]:
+    def _timed(self, pictures: Iterator[av.VideoFrame]) -> Timed:
         """Gives each picture a time above the one before: a missing or repeated one follows
         by one frame (or one tick), and what begins anew goes on after it."""
         rate = self.info.fps or 25.0
@@ -302,8 +309,11 @@ class ClipReader:
         for picture in pictures:
             stated = picture.dts if self._by_decoding else picture.pts
             if last is None:
-                start = self.info.start_pts
-                pts = start if self._by_decoding or stated is None else stated
+                pts = (
+                    self.info.start_pts
+                    if self._by_decoding or stated is None
+                    else stated
+                )
                 shift = 0 if stated is None else pts - stated
             elif stated is None:
                 pts = last + step
@@ -325,8 +335,11 @@ class ClipReader:
             reason = f"the file ends after {length_s:.2f} s of {stated_s:.2f} s"
         if not reason and 0 < self._packets < stated:
             reason = f"{self._packets} of {stated} frames are in the file"
-        done = f"{info.path}: {reason}; processed to the last good frame"
-        return done if reason else None
+        return (
+            f"{info.path}: {reason}; processed to the last good frame"
+            if reason
+            else None
+        )
 
 
 def read_on(container: Any, streams: list[Any]) -> Iterator[Any]:
@@ -357,13 +370,15 @@ def missing_frames(
     if len(shown) < 3:
         return []
     steps, usual = _steps(shown)
-    steady = gaps and np.mean(np.abs(steps - usual) <= usual / 4) >= 0.9
+    steady = int(gaps and np.mean(np.abs(steps - usual) <= usual / 4) >= 0.9)
     found = []
     for k in np.flatnonzero(steps > 2 * _APART * usual).tolist():
-        first = bisect_right(stated, shown[k] + _APART * usual)
-        lost = stated[first : bisect_left(stated, shown[k + 1] - _APART * usual)]
-        gap = round(steps[k] / usual) - 1 if steady and steps[k] >= 1.5 * usual else 0
-        if count := max(len(lost), gap):
+        lost = stated[
+            bisect_right(stated, shown[k] + _APART * usual) : bisect_left(
+                stated, shown[k + 1] - _APART * usual
+            )
+        ]
+        if count := max(len(lost), steady * (round(steps[k] / usual) - 1)):
             found.append((lost[0] if lost else round(shown[k] + usual), count))
     return found
 

@@ -3,7 +3,7 @@ sections 3.5, 3.7)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cache, partial
 from typing import Any
 
@@ -13,21 +13,12 @@ from arfx.core.model import Material
 from arfx.core.numerics import normalise
 from arfx.core.pose import rotation_from_quaternion
 from arfx.errors import InputError
-from arfx.media.gltf import Gltf
-from arfx.media.gltf_materials import gltf_material
-from arfx.media.model_files import NO_TRIANGLES, ModelFile
+from arfx.media.gltf import Gltf, gltf_material
+from arfx.media.model_files import NO_TRIANGLES, TABLES, ModelFile
 from arfx.media.model_parts import Placed, Rows, plain_material, unit_colours
 
 _TRIANGLES, _STRIP = 4, 5
-_ROWS = {
-    "POSITION": ("vertices", 3),
-    "NORMAL": ("normals", 3),
-    "TANGENT": ("tangents", 4),
-    "TEXCOORD_0": ("uv", 2),
-    "TEXCOORD_1": ("second_uv", 2),
-}
 _PLACES = ("translation", "rotation", "scale")
-_INSTANCES, _VISIBLE = "EXT_mesh_gpu_instancing", "KHR_node_visibility"
 
 
 def gltf_meshes(file: ModelFile) -> Iterator[Placed]:
@@ -36,9 +27,34 @@ def gltf_meshes(file: ModelFile) -> Iterator[Placed]:
     Raises InputError: limits, what is missing or does not fit together."""
     gltf = Gltf(file)
     material_of = cache(partial(gltf_material, gltf))
-    triangles_of = cache(
-        lambda number: list(_triangles_of(gltf, number, material_of))
-    )
+
+    @cache
+    def triangles_of(number: int) -> list[tuple[np.ndarray, Rows, Material]]:
+        out = []
+        for primitive in gltf.header["meshes"][number]["primitives"]:
+            given, mode = primitive["attributes"], primitive.get("mode", _TRIANGLES)
+            if "POSITION" not in given:
+                continue
+            if mode < _TRIANGLES:
+                file.notices.append(NO_TRIANGLES)
+                continue
+            rows = {
+                own: gltf.array(given[name], columns).astype(float)
+                for name, (own, columns) in TABLES["attributes"].items()
+                if name in given
+            }
+            corners = np.arange(len(rows["vertices"]))
+            if "indices" in primitive:
+                corners = gltf.array(primitive["indices"], 1)[:, 0].astype(np.int64)
+            if coloured := "COLOR_0" in given:
+                rows["colours"] = unit_colours(gltf.array(given["COLOR_0"]))
+            if "material" in primitive:
+                material = material_of(primitive["material"], coloured)
+            else:
+                material = plain_material(coloured, double_sided=False)
+            out.append((_triangles(corners, mode), rows, material))
+        return out
+
     for number, model_from_mesh in _placed(gltf):
         for faces, rows, material in triangles_of(number):
             yield faces, rows, model_from_mesh, material
@@ -47,36 +63,37 @@ def gltf_meshes(file: ModelFile) -> Iterator[Placed]:
 def _placed(gltf: Gltf) -> Iterator[tuple[int, np.ndarray]]:
     """Numbers of the meshes that are shown, each with its place in the model, (4, 4)."""
     nodes = gltf.header.get("nodes", [])
-    waiting = [(number, np.eye(4)) for number in _roots(gltf, nodes)]
+    if scenes := gltf.header.get("scenes", []):
+        shown = gltf.header.get("scene", 0)
+        roots = scenes[shown].get("nodes", [])
+        if len(scenes) > 1:
+            gltf.file.notices.append(
+                f"{len(scenes)} scenes, number {shown} is shown (from 0 on)"
+            )
+    else:
+        below = {child for node in nodes for child in node.get("children", [])}
+        roots = sorted(set(range(len(nodes))) - below)
+    waiting = [(number, np.eye(4)) for number in roots]
     seen = set()
     while waiting:
         number, model_from_parent = waiting.pop()
         if number in seen:
-            what = f"node {number} is below itself or below two others"
-            raise InputError(what, "nodes must form a tree")
+            raise InputError(
+                f"node {number} is below itself or below two others",
+                "nodes must form a tree",
+            )
         seen.add(number)
         node = nodes[number]
         extensions = node.get("extensions", {})
-        if extensions.get(_VISIBLE, {}).get("visible") is False:
+        if extensions.get("KHR_node_visibility", {}).get("visible") is False:
             continue
         model_from_node = model_from_parent @ _parent_from_node(node)
         if "mesh" in node:
-            for node_from_mesh in _copies(gltf, extensions.get(_INSTANCES, {})):
+            for node_from_mesh in _copies(
+                gltf, extensions.get("EXT_mesh_gpu_instancing", {})
+            ):
                 yield node["mesh"], model_from_node @ node_from_mesh
         waiting += [(child, model_from_node) for child in node.get("children", [])]
-
-
-def _roots(gltf: Gltf, nodes: list[dict[str, Any]]) -> list[int]:
-    """Those of the scene that is shown; of a file without scenes every node that is below none."""
-    scenes = gltf.header.get("scenes", [])
-    if not scenes:
-        below = {child for node in nodes for child in node.get("children", [])}
-        return [number for number in range(len(nodes)) if number not in below]
-    shown = gltf.header.get("scene", 0)
-    if len(scenes) > 1:
-        what = f"{len(scenes)} scenes, number {shown} is shown (from 0 on)"
-        gltf.file.notices.append(what)
-    return list(scenes[shown].get("nodes", []))
 
 
 def _copies(gltf: Gltf, instances: dict[str, Any]) -> Iterator[np.ndarray]:
@@ -89,33 +106,6 @@ def _copies(gltf: Gltf, instances: dict[str, Any]) -> Iterator[np.ndarray]:
         gltf.file.check_counts(0, len(values))
     for row in zip(*columns.values(), strict=False):
         yield _parent_from_node(dict(zip(columns, row, strict=True)))
-
-
-def _triangles_of(
-    gltf: Gltf, number: int, material_of: Callable[[int, bool], Material]
-) -> Iterator[tuple[np.ndarray, Rows, Material]]:
-    for primitive in gltf.header["meshes"][number]["primitives"]:
-        given, mode = primitive["attributes"], primitive.get("mode", _TRIANGLES)
-        if "POSITION" not in given:
-            continue
-        if mode < _TRIANGLES:
-            gltf.file.notices.append(NO_TRIANGLES)
-            continue
-        rows = {
-            own: gltf.array(given[name], columns).astype(float)
-            for name, (own, columns) in _ROWS.items()
-            if name in given
-        }
-        corners = np.arange(len(rows["vertices"]))
-        if "indices" in primitive:
-            corners = gltf.array(primitive["indices"], 1)[:, 0].astype(np.int64)
-        if coloured := "COLOR_0" in given:
-            rows["colours"] = unit_colours(gltf.array(given["COLOR_0"]))
-        if "material" in primitive:
-            material = material_of(primitive["material"], coloured)
-        else:
-            material = plain_material(coloured, double_sided=False)
-        yield _triangles(corners, mode), rows, material
 
 
 def _parent_from_node(node: dict[str, Any]) -> np.ndarray:

@@ -12,6 +12,7 @@ import av
 
 from arfx.core.colour import HLG, PQ, Transfer
 
+Options = tuple[tuple[str, str], ...]  # of an encoder
 TRANSFERS = {16: Transfer(PQ), 18: Transfer(HLG)}  # by their number, H.273 table 3
 # What changes from scene to scene, and is of the picture before it was changed
 _DYNAMIC = {"DOVI_METADATA": "Dolby Vision", "DYNAMIC_HDR_PLUS": "HDR10+"}
@@ -62,12 +63,12 @@ def content_light(beside: Mapping[str, bytes]) -> tuple[int, int] | None:
 
 
 def with_static_data(
-    options: tuple[tuple[str, str], ...],
+    options: Options,
     codec: str,
     display: tuple[float, ...] | None,
     light: tuple[int, int] | None,
     notices: list[str],
-) -> tuple[tuple[str, str], ...]:
+) -> Options:
     """An encoder's options, with what makes it write these; a notice where it cannot.
 
     display, light : as of `mastering_display` and `content_light`"""

@@ -8,11 +8,11 @@ decoded: a few kilobytes can state gigabytes."""
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import io
 import re
 import struct
-from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, cast
@@ -36,7 +36,7 @@ MAX_PIXELS = {
 # longest side of a print's picture that is kept: twice what it is searched for with
 PRINT_PX = 1024
 _PILLOW = ("PNG", "JPEG", "BMP", "WEBP", "PPM", "JPEG2000", "TIFF")
-_HEIF = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
+_HEIF = re.compile(rb".{4}ftyp(he(ic|ix|im|is|vc|vx)|m[is]f1)", re.DOTALL)
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _EXR = b"v/1\x01"
 _WINDOWS = (b"dataWindow", b"displayWindow")  # FFmpeg makes a picture of the second
@@ -80,8 +80,12 @@ def load_image(path: Path) -> np.ndarray:
 
 def _linear(coded: np.ndarray) -> np.ndarray:
     """float32 of whole numbers in sRGB."""
-    values = np.linspace(0, 1, 1 << 8 * coded.dtype.itemsize)
-    return np.take(SRGB.decode(values).astype(np.float32), coded)
+    return np.take(
+        SRGB.decode(np.linspace(0, 1, 1 << 8 * coded.dtype.itemsize)).astype(
+            np.float32
+        ),
+        coded,
+    )
 
 
 def load_print(path: Path) -> tuple[np.ndarray, float]:
@@ -94,13 +98,6 @@ def load_print(path: Path) -> tuple[np.ndarray, float]:
         size = max(round(w * small), 1), max(round(h * small), 1)
         linear = cv2.resize(linear, size, interpolation=cv2.INTER_AREA)
     return linear, h / w
-
-
-def _decode_exr(data: bytes) -> np.ndarray:
-    """(h, w) or (h, w, 3), blue first, float32 as stored. Raises FFmpeg's errors, IndexError."""
-    decoder = av.CodecContext.create("exr", "r")
-    picture = decoder.decode(av.Packet(data))[0].to_ndarray()
-    return picture if picture.ndim == 2 else picture[..., 2::-1]
 
 
 def _exr_header(data: bytes) -> dict[bytes, tuple[int, int]]:
@@ -133,8 +130,10 @@ def _one_channel(data: bytes, path: Path) -> bytes:
     wanted = next((n for n in _DEPTH_CHANNELS if n in ends), None)
     if wanted is None:
         held = ", ".join(n.decode(errors="replace") for n in ends)
-        what = f"depth map {path} holds the channels {held}, none of which is known as depth"
-        raise InputError(what, "one called Z, V, Y or R")
+        raise InputError(
+            f"depth map {path} holds the channels {held}, none of which is known as depth",
+            "one called Z, V, Y or R",
+        )
     renamed = bytearray(data)
     for name, last in ends.items():
         renamed[last - 1] = ord("Y" if name == wanted else "_")
@@ -157,13 +156,6 @@ def _write(path: Path, data: bytes) -> None:
         raise write_failed(path, e) from e
 
 
-# Of PyAV, of Pillow and of reading an EXR's header, on damaged files.
-_STUMBLES = (
-    *(av.error.FFmpegError, struct.error, LookupError, ValueError),
-    *(OSError, EOFError, RuntimeError, SyntaxError),
-)
-
-
 def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
     """As cv2.imdecode; of a depth map in an EXR the channel that holds it.
 
@@ -177,22 +169,28 @@ def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
                 raw = np.asarray(picture.convert("L" if grey else "RGB"))
             return raw if grey else raw[..., ::-1]
         if data.startswith(_EXR) and flags == cv2.IMREAD_UNCHANGED:
-            return _decode_exr(
-                _one_channel(data, path) if kind == "depth map" else data
-            )
+            if kind == "depth map":
+                data = _one_channel(data, path)
+            (picture,) = av.CodecContext.create("exr", "r").decode(av.Packet(data))
+            raw = picture.to_ndarray()
+            return raw if raw.ndim == 2 else raw[..., 2::-1]
         decoded: np.ndarray | None = cv2.imdecode(
             np.frombuffer(data, np.uint8), flags
         )
-        if decoded is not None:
-            return decoded
-    except (cv2.error, *_STUMBLES):
-        pass
-    what = "it is damaged, cut short, or of a variant that is not known"
-    raise InputError(f"{kind} {path} cannot be read: {what}", "save it again")
+        if decoded is None:
+            raise ValueError
+        return decoded
+    except InputError:
+        raise
+    except Exception as e:  # whatever the readers of pictures stumble over
+        what = "it is damaged, cut short, or of a variant that is not known"
+        raise InputError(
+            f"{kind} {path} cannot be read: {what}", "save it again"
+        ) from e
 
 
 def is_heif(data: bytes) -> bool:
-    return data[4:8] == b"ftyp" and data[8:12] in _HEIF
+    return _HEIF.match(data) is not None
 
 
 def open_picture(data: bytes, path: Path, kind: str) -> Any:
@@ -206,9 +204,10 @@ def open_picture(data: bytes, path: Path, kind: str) -> Any:
         try:
             importlib.import_module("pillow_heif").register_heif_opener()
         except ImportError:
-            text = f"{kind} {path} is HEIC, which needs the package pillow-heif"
-            hint = "pip install pillow-heif, or save it as JPEG"
-            raise InputError(text, hint) from None
+            raise InputError(
+                f"{kind} {path} is HEIC, which needs the package pillow-heif",
+                "pip install pillow-heif, or save it as JPEG",
+            ) from None
     return Image.open(io.BytesIO(data), formats=formats)
 
 
@@ -240,11 +239,30 @@ def _tiff_sizes(source: Path | io.BytesIO) -> list[tuple[int, int]]:
 
 
 def check_size(source: bytes | Path, path: Path, kind: str) -> None:
-    """Of every page of a picture; source : its bytes, or where a TIFF is that is too large for it.
+    """Of every page of a picture, as the header states it; source : its bytes, or where a TIFF is
+    that is too large for it.
 
     Raises InputError: damaged, or with more pixels than MAX_PIXELS[kind]."""
+    pages: list[tuple[int, int]] = []
     try:
-        pages = _sizes(source, path, kind)
+        if isinstance(source, Path):
+            pages = _tiff_sizes(source)
+        elif source.startswith(_TIFF):
+            pages = _tiff_sizes(io.BytesIO(source))
+        elif source.startswith(b"#?"):
+            if found := _HDR.search(source[:65536]):
+                pages = [(int(found[2]), int(found[1]))]
+        elif source.startswith(_EXR):
+            held = _exr_header(source)
+            for name in sorted(held.keys() & _WINDOWS):
+                x0, y0, x1, y1 = struct.unpack_from("<4i", source, held[name][0])
+                pages.append((x1 - x0 + 1, y1 - y0 + 1))
+        else:
+            with (
+                contextlib.suppress(UnidentifiedImageError),
+                open_picture(source, path, kind) as picture,
+            ):
+                pages = [picture.size]
     except InputError:
         raise
     except Exception as e:  # whatever the readers of headers stumble over
@@ -256,29 +274,7 @@ def check_size(source: bytes | Path, path: Path, kind: str) -> None:
     most = MAX_PIXELS[kind]
     for width, height in pages:
         if not 0 < width * height <= most:
-            hint = f"at most {most / 1e6:.0f} megapixels: scale it down"
-            raise InputError(f"{kind} {path} is {width}x{height}", hint)
-
-
-def _sizes(data: bytes | Path, path: Path, kind: str) -> Sequence[tuple[int, int]]:
-    """(width, height) of every page as the header states it; none where the format is not known."""
-    if isinstance(data, Path):
-        return _tiff_sizes(data)
-    if data.startswith(_TIFF):
-        return _tiff_sizes(io.BytesIO(data))
-    if data.startswith(b"#?"):
-        found = _HDR.search(data[:65536])
-        return [(int(found[2]), int(found[1]))] if found else []
-    if data.startswith(_EXR):
-        held = _exr_header(data)
-        windows = [
-            struct.unpack_from("<4i", data, held[n][0]) for n in _WINDOWS if n in held
-        ]
-        return [
-            (right - left + 1, low - top + 1) for left, top, right, low in windows
-        ]
-    try:
-        with open_picture(data, path, kind) as picture:
-            return [picture.size]
-    except UnidentifiedImageError:
-        return []
+            raise InputError(
+                f"{kind} {path} is {width}x{height}",
+                f"at most {most / 1e6:.0f} megapixels: scale it down",
+            )

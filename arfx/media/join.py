@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import contextlib
 import heapq
-import itertools
 import math
 import os
+import re
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -36,15 +36,11 @@ from arfx.media.photos import write_photo
 from arfx.media.writer import abandon, failures, remove_output, set_tags
 
 _MAX_TIMESCALE = (1 << 31) - 1
-_MUXER_OWN = {
-    "encoder",
-    "duration",
-    "rotate",
-    "major_brand",
-    "minor_version",
-    "compatible_brands",
-    "number_of_frames",
-}
+_MUXER_OWN = re.compile(
+    "encoder|duration|rotate|major_brand|minor_version|compatible_brands"
+    "|(_statistics|number_of).*",
+    re.IGNORECASE | re.DOTALL,
+)
 
 
 def join_chunks(
@@ -71,10 +67,6 @@ def join_chunks(
     file cannot be written. Then nothing is left under the final name that was not there
     before."""
     path = out = Path(out)
-    if not chunks or not pts:
-        raise RenderError(f"{out}: nothing to join")
-    if any(b <= a for a, b in itertools.pairwise(pts)):
-        raise RenderError(f"{out}: frame times do not rise")
     if plan.is_sequence:
         out = out.absolute().parent
     part = part or part_name(out)
@@ -90,10 +82,14 @@ def join_chunks(
         if made is not None:
             made()
         with interrupt.committing():
-            if plan.is_sequence:
-                _place_folder(part, out)
-            else:
-                part.replace(out)
+            if not (plan.is_sequence and out.exists()):
+                part.replace(out)  # a new folder appears at once
+            else:  # it keeps its other files; each image is replaced in one step
+                for f in part.iterdir():
+                    f.replace(out / f.name)
+                    # two names of one file: to rename one to the other leaves both
+                    f.unlink(missing_ok=True)
+                part.rmdir()
     return left_out
 
 
@@ -104,30 +100,6 @@ def _packets_of(chunk: Path) -> Any:
     return av.open(ffmpeg_url(chunk), options={"skip_frame": "all"})
 
 
-def _ranks_of(chunks: Sequence[Path], count: int) -> list[int]:
-    """For each packet in decoding order, the number of its frame in the clip."""
-    ranks, extradata = list[int](), None
-    for chunk in chunks:
-        with _packets_of(chunk) as c:
-            stream = c.streams.video[0]
-            own = bytes(stream.codec_context.extradata or b"")
-            if extradata not in (None, own):
-                raise RenderError(
-                    f"{chunk}: encoded with other settings than the chunks before",
-                    "render the job again",
-                )
-            extradata = own
-            shown = [p.pts for p in c.demux(stream) if p.size]
-            order = np.argsort(np.argsort(shown, kind="stable"))
-            ranks += (len(ranks) + order).tolist()
-    if len(ranks) != count:
-        raise RenderError(
-            f"the chunks hold {len(ranks)} frames, the clip has {count}",
-            "render the job again",
-        )
-    return ranks
-
-
 def _video_packets(
     chunks: Sequence[Path], pts: Sequence[int], time_base: Fraction, stream: Any
 ) -> Iterator[tuple[Fraction, Any]]:
@@ -135,7 +107,26 @@ def _video_packets(
 
     What is decoded last has the last frame's length, since MP4 and MOV end with it.
     """
-    ranks = _ranks_of(chunks, len(pts))
+    # of each packet in decoding order the number of its frame in the clip
+    ranks, extradata = list[int](), None
+    for chunk in chunks:
+        with _packets_of(chunk) as c:
+            coded = c.streams.video[0]
+            own = bytes(coded.codec_context.extradata or b"")
+            if extradata not in (None, own):
+                raise RenderError(
+                    f"{chunk}: encoded with other settings than the chunks before",
+                    "render the job again",
+                )
+            extradata = own
+            times = [p.pts for p in c.demux(coded) if p.size]
+            order = np.argsort(np.argsort(times, kind="stable"))
+            ranks += (len(ranks) + order).tolist()
+    if len(ranks) != len(pts):
+        raise RenderError(
+            f"the chunks hold {len(ranks)} frames, the clip has {len(pts)}",
+            "render the job again",
+        )
     i, wait = 0, max(pts[i] - pts[r] for i, r in enumerate(ranks))
     last = pts[-1] - pts[-2] if len(pts) > 1 else 0
     for chunk in chunks:
@@ -167,8 +158,10 @@ def _remux(
         source = stack.enter_context(open_video(info.path))
         first = stack.enter_context(av.open(ffmpeg_url(chunks[0])))
         if plan.container in ("mp4", "mov"):
-            scale = _timescale(info, source, plan)
-            options |= {"movflags": "faststart", "movie_timescale": str(scale)}
+            options |= {
+                "movflags": "faststart",
+                "movie_timescale": str(_timescale(info, source, plan)),
+            }
         out = create_container(part, plan.container, container_options=options)
         stack.callback(abandon, out)
         out.metadata.update(_plain_metadata(source.metadata))
@@ -179,8 +172,9 @@ def _remux(
             elif s.index in plan.streams:
                 streams[s.index] = _add_stream(out, s, s, s.time_base)
                 if s.type == "video":
-                    rate = s.average_rate or s.guessed_rate or Fraction(25)
-                    streams[s.index].codec_context.framerate = rate
+                    streams[s.index].codec_context.framerate = (
+                        s.average_rate or s.guessed_rate or Fraction(25)
+                    )
         if start_s is None and end_s is None and source.chapters():
             out.set_chapters(source.chapters())
         video = _video_packets(chunks, pts, info.time_base, shown)
@@ -199,12 +193,7 @@ def _remux(
 
 def _plain_metadata(metadata: Mapping[str, str]) -> dict[str, str]:
     """Tags that belong to the recording, not to the file that held it."""
-    return {
-        k: v
-        for k, v in metadata.items()
-        if k.lower() not in _MUXER_OWN
-        and not k.startswith(("_STATISTICS", "NUMBER_OF"))
-    }
+    return {k: v for k, v in metadata.items() if not _MUXER_OWN.fullmatch(k)}
 
 
 def _add_stream(out: Any, template: Any, source: Any, time_base: Fraction) -> Any:
@@ -263,8 +252,7 @@ def _copied_packets(
         if last.get(number, time) - time > JUMP_S:
             jumps[number] += 1
             if not shifts:
-                with ClipReader(info) as reader:
-                    shifts += reader.shifts() or [0]
+                shifts += ClipReader(info).shifts() or [0]
         last[number] = time
         if jumps[number]:
             shift = shifts[min(jumps[number], len(shifts)) - 1] * info.time_base
@@ -319,19 +307,3 @@ def _gather(chunks: Sequence[Path], count: int, part: Path) -> None:
             "render the job again",
         )
     (part / TIMES).write_text("".join(times))
-
-
-def _place_folder(part: Path, folder: Path) -> None:
-    """A new folder appears at once. One that exists keeps its other files; each image is
-    replaced in one step."""
-    empty = folder.is_dir() and not any(folder.iterdir())
-    if empty and not folder.samefile(Path.cwd()):
-        folder.rmdir()
-    if not folder.exists():
-        part.replace(folder)
-        return
-    for f in part.iterdir():
-        f.replace(folder / f.name)
-        # two names of one file: to rename one to the other leaves both
-        f.unlink(missing_ok=True)
-    part.rmdir()

@@ -48,7 +48,6 @@ class ModelFile:
         self._folder = path.absolute().parent.resolve()
         self._pictures: dict[Any, np.ndarray | None] = {}
         self._texels = 0
-        self._names: dict[Path, dict[str, str]] = {}
 
     def check_counts(self, faces: int, parts: int = 0) -> None:
         """Raises InputError: there are more than can be handled."""
@@ -57,8 +56,9 @@ class ModelFile:
                 f"it has more than {MAX_FACES} faces", "simplify it first"
             )
         if parts > MAX_PARTS:
-            what = f"it has more than {MAX_PARTS} parts or materials"
-            raise InputError(what, "join them first")
+            raise InputError(
+                f"it has more than {MAX_PARTS} parts or materials", "join them first"
+            )
 
     def picture(
         self, name: Any, content: Callable[[], bytes] | None = None
@@ -83,8 +83,10 @@ class ModelFile:
             return None
         width, height = image.size
         if max(width, height) > MAX_TEXTURE_PX:
-            hint = f"at most {MAX_TEXTURE_PX} px a side: scale it down"
-            raise InputError(f"a texture is {width}x{height} px", hint)
+            raise InputError(
+                f"a texture is {width}x{height} px",
+                f"at most {MAX_TEXTURE_PX} px a side: scale it down",
+            )
         self._texels += width * height
         if self._texels > MAX_TEXELS:
             what = f"its textures hold more than {MAX_TEXELS / 1e6:.0f} megapixels"
@@ -93,8 +95,9 @@ class ModelFile:
             with image:
                 # 16-bit greys, which Pillow cuts off at 255
                 if image.mode.startswith("I"):
-                    grey = np.clip(np.asarray(image) >> 8, 0, 255)
-                    image = Image.fromarray(grey.astype(np.uint8))
+                    image = Image.fromarray(
+                        np.clip(np.asarray(image) >> 8, 0, 255).astype(np.uint8)
+                    )
                 return np.asarray(image.convert("RGBA"))
         except (OSError, ValueError, SyntaxError) as e:  # Pillow decodes late
             what = "a texture is damaged or cut short"
@@ -165,13 +168,10 @@ class ModelFile:
         in how umlauts are written."""
         path = self._folder
         for name in place.relative_to(path).parts:
-            if path not in self._names:
-                inside = path.resolve().is_relative_to(self._folder) and path.is_dir()
-                on_disk = sorted(os.listdir(path)) if inside else []  # noqa: PTH208
-                own = {n: n for n in on_disk}
-                self._names[path] = {_folded(n): n for n in on_disk[::-1]} | own
-            names = self._names[path]
-            path /= names.get(name) or names.get(_folded(name), name)
+            inside = path.resolve().is_relative_to(self._folder) and path.is_dir()
+            on_disk = os.listdir(path) if inside else []  # noqa: PTH208
+            alike = sorted(n for n in on_disk if _folded(n) == _folded(name))
+            path /= name if name in alike or not alike else alike[0]
         return path
 
 

@@ -1,5 +1,21 @@
 """What all model files share: triangles under their node's transform made into a part of the
-model; colours, and materials whose numbers are in range."""
+model; colours, and materials whose numbers are in range.
+
+Vertex normals for files that bring none: smooth across flat edges, sharp across the others.
+
+Linear in the number of faces: corners that share a vertex are joined across each flat edge, and
+every joined group gets one normal, weighted by corner angle (Thuermer and Wuethrich 1998).
+
+Tangents of vertices that a normal texture needs, where a file brings none: those of MikkTSpace.
+
+glTF 2.0 section 3.7.2.1 asks for them: programs that bake normal textures use them too. Corners
+of one vertex (same place, normal and texture coordinates) are joined across edges to faces that
+the picture covers the same way round. Each group gets the mean of its faces' directions along the
+picture's rows, laid into the plane of the vertex normal and weighted by corner angle.
+Source: Mikkelsen 2008, Simulation of Wrinkled Surfaces Revisited, chapter 2.
+
+Leaves out: a face that the picture covers with no area joins no group, its tangents lie anyhow
+across the normals (in MikkTSpace it takes after the neighbour that comes first)."""
 
 from __future__ import annotations
 
@@ -10,10 +26,9 @@ from PIL import Image
 
 from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, MASK, OPAQUE, Material, Part
-from arfx.core.numerics import normalise, same_rows
+from arfx.core.numerics import angle_between, divide, normalise, same_rows
 from arfx.core.scene_mesh import across
 from arfx.errors import InputError
-from arfx.media.model_normals import corner_normals, corner_tangents
 
 # Squared double area below which a triangle has no plane, as a fraction of the model's extent to
 # the fourth power: float32 coordinates are exact to 6e-8 of the extent, a height below is rounding.
@@ -26,6 +41,7 @@ _UNIT = (
     "clearcoat_roughness",
     "sheen_roughness",
 )
+CREASE_DEG = 40.0
 
 
 Rows = dict[str, np.ndarray]
@@ -47,13 +63,24 @@ def part_of(
         return None
     rows, linear = dict(given), model_from_mesh[:3, :3]
     rows["vertices"] = rows["vertices"] @ linear.T + model_from_mesh[:3, 3]
-    _check(rows["vertices"], faces)
+    count = len(rows["vertices"])
+    if not 0 <= faces.min() <= faces.max() < count:
+        raise InputError(
+            f"faces refer to vertex {faces.max()}, there are {count}",
+            "the file is damaged",
+        )
+    if bad := int((~np.isfinite(rows["vertices"])).any(1).sum()):
+        raise InputError(
+            f"{bad} of {count} vertices are not finite numbers",
+            "export it again; look for NaN or inf",
+        )
     rows = _usable(rows)
     side = float(np.sign(np.linalg.det(linear))) or 1.0
     if side < 0:  # a mirror turns every triangle inside out
         faces = faces[:, ::-1]
-    keep = _have_area(rows["vertices"], faces)
-    faces = faces[keep]
+    corners = rows["vertices"][faces]
+    least = _DEGENERATE * float(np.ptp(corners, axis=(0, 1)).max()) ** 4
+    faces = faces[(across(corners) ** 2).sum(1) > least]
     if not len(faces):
         return None
     own = {}  # what corners have, whatever vertex they are of
@@ -70,9 +97,12 @@ def part_of(
             rows, faces = {"vertices": rows["vertices"][first]}, number[faces]
         own["normals"] = corner_normals(rows["vertices"], faces)
     if "tangents" in rows:
-        along = normalise(rows["tangents"][:, :3] @ linear.T)
-        signs = side * np.sign(rows["tangents"][:, 3])
-        rows["tangents"] = np.column_stack([along, signs])
+        rows["tangents"] = np.column_stack(
+            [
+                normalise(rows["tangents"][:, :3] @ linear.T),
+                side * np.sign(rows["tangents"][:, 3]),
+            ]
+        )
     part = _indexed(faces, rows, own, material)
     texture = material.normal_texture or material.clearcoat_normal_texture
     uv = None if texture is None else part.uv_on(texture)
@@ -80,18 +110,13 @@ def part_of(
         return replace(part, tangents=None)
     if part.tangents is not None:
         return part
-    tangents = corner_tangents(part.vertices, part.faces, part.normals, uv)
-    return _indexed(faces, rows, own | {"tangents": tangents}, material)
-
-
-def _check(vertices: np.ndarray, faces: np.ndarray) -> None:
-    count = len(vertices)
-    if not 0 <= faces.min() <= faces.max() < count:
-        what = f"faces refer to vertex {faces.max()}, there are {count}"
-        raise InputError(what, "the file is damaged")
-    if bad := int((~np.isfinite(vertices)).any(1).sum()):
-        what = f"{bad} of {count} vertices are not finite numbers"
-        raise InputError(what, "export it again; look for NaN or inf")
+    return _indexed(
+        faces,
+        rows,
+        own
+        | {"tangents": corner_tangents(part.vertices, part.faces, part.normals, uv)},
+        material,
+    )
 
 
 def _usable(rows: Rows) -> Rows:
@@ -107,13 +132,6 @@ def _usable(rows: Rows) -> Rows:
     return out
 
 
-def _have_area(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(m,) bool."""
-    corners = vertices[faces]
-    extent = float(np.ptp(corners, axis=(0, 1)).max())
-    return np.asarray((across(corners) ** 2).sum(1) > _DEGENERATE * extent**4)
-
-
 def _indexed(
     faces: np.ndarray,
     rows: Rows,
@@ -126,9 +144,11 @@ def _indexed(
     corners = faces.ravel()
     first, number = same_rows(np.column_stack([corners, *own.values()]))
     shared = {name: values[corners[first]] for name, values in rows.items()}
-    split = {name: values[first] for name, values in own.items()}
-    numbers = number.reshape(-1, 3).astype(np.int32)
-    return Part(faces=numbers, material=material, **(shared | split))
+    return Part(
+        faces=number.reshape(-1, 3).astype(np.int32),
+        material=material,
+        **(shared | {name: values[first] for name, values in own.items()}),
+    )
 
 
 def plain_material(has_colours: bool, double_sided: bool) -> Material:
@@ -174,8 +194,9 @@ def checked(material: Material) -> Material:
     colours = (material.base_colour, material.emissive, material.sheen_colour)
     if [len(colour) for colour in colours] != [4, 3, 3]:
         raise ValueError
-    given = vars(material).values()
-    numbers = [np.ravel(x) for x in given if isinstance(x, (float, tuple))]
+    numbers = [
+        np.ravel(x) for x in vars(material).values() if isinstance(x, (float, tuple))
+    ]
     numbers += [t.picture_from_uv.ravel() for t in material.textures.values()]
     if not (np.abs(np.concatenate(numbers)) <= _BRIGHTEST).all():
         what = (
@@ -183,7 +204,103 @@ def checked(material: Material) -> Material:
         )
         raise InputError(f"{what} {_BRIGHTEST:g}", "export it again")
     mode = material.alpha_mode.upper()
-    shares = {name: min(max(getattr(material, name), 0.0), 1.0) for name in _UNIT}
     return replace(
-        material, alpha_mode=mode if mode in (MASK, BLEND) else OPAQUE, **shares
+        material,
+        alpha_mode=mode if mode in (MASK, BLEND) else OPAQUE,
+        **{name: min(max(getattr(material, name), 0.0), 1.0) for name in _UNIT},
     )
+
+
+def corner_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(3 m, 3) unit, of the corners of faces.
+
+    vertices : (n, 3), those at the same place count as one;  faces : (m, 3) int, none without area
+    """
+    p = vertices[faces]
+    flat = normalise(across(p))
+    place = same_rows(vertices)[1][faces]
+    a, b = _shared_edges(place)
+    smooth = (flat[a // 3] * flat[b // 3]).sum(1) > np.cos(np.radians(CREASE_DEG))
+    along = flat[:, None]
+    out = _smoothed(place, a[smooth], b[smooth], p, along, along)
+    # opposite faces cancel: each keeps its own
+    return np.where(out.any(1, keepdims=True), out, np.repeat(flat, 3, 0))
+
+
+def corner_tangents(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    normals: np.ndarray,
+    uv: np.ndarray,
+) -> np.ndarray:
+    """(3 m, 4) of the corners of faces (m, 3), as of core.model.Part.
+
+    vertices : (n, 3);  normals : (n, 3) unit;  uv : (n, 2) on the normal texture, v = 0 on top
+    """
+    p, n = vertices[faces], normals[faces]
+    t = uv[faces] * (1, -1)  # v upwards, as the sign of a tangent counts it
+    (u1, u2), (v1, v2) = (t[:, 1:] - t[:, :1]).T
+    side = np.asarray(np.sign(u1 * v2 - v1 * u2))
+    edge1, edge2 = np.moveaxis(p[:, 1:] - p[:, :1], 1, 0)
+    along_u = side[:, None] * (v2[:, None] * edge1 - v1[:, None] * edge2)
+    along_u = normalise(divide(along_u, np.abs(along_u).max(1, keepdims=True)))
+    side[~along_u.any(1)] = 0  # the picture covers it with no area
+    place = same_rows(np.concatenate([vertices, normals, uv], 1))[1][faces]
+    a, b = _shared_edges(place)
+    joined = (side[a // 3] * side[b // 3] > 0) & (place.flat[a] != place.flat[b])
+    tangents = _smoothed(
+        place, a[joined], b[joined], p, n, _in_plane(along_u[:, None], n)
+    )
+    normal = n.reshape(-1, 3)
+    tangents = np.where(
+        tangents.any(1, keepdims=True),
+        tangents,
+        _in_plane(np.eye(3)[np.abs(normal).argmin(1)], normal),
+    )
+    return np.column_stack([tangents, np.repeat(np.where(side == 0, 1.0, side), 3)])
+
+
+def _shared_edges(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (e,) and (e,) from which two faces run along one edge, each towards its next corner.
+
+    place : (m, 3) int, number of each corner's place"""
+    edge = np.sort(np.stack([place, np.roll(place, -1, 1)], -1).reshape(-1, 2), 1)
+    order = np.lexsort(edge.T[::-1])
+    same = (edge[order[1:]] == edge[order[:-1]]).all(1)  # sorted, equal ones meet
+    return order[:-1][same], order[1:][same]
+
+
+def _smoothed(
+    place: np.ndarray,
+    a: np.ndarray,
+    b: np.ndarray,
+    p: np.ndarray,
+    normals: np.ndarray,
+    directions: np.ndarray,
+) -> np.ndarray:
+    """(3 m, 3) mean directions of corners that belong together, weighted by corner angle.
+
+    place : as of `_shared_edges`;  a, b : those edges across which corners belong together
+    p : (m, 3, 3);  normals : (m, 3, 3) or (m, 1, 3);  directions : likewise, unit"""
+    from trimesh.graph import connected_component_labels
+
+    end = np.roll(np.arange(place.size).reshape(-1, 3), -1, 1).ravel()
+    links = np.stack(
+        [
+            [a, end[a]],
+            np.where(place.flat[a] != place.flat[b], [end[b], b], [b, end[b]]),
+        ],
+        -1,
+    ).reshape(-1, 2)
+    group = connected_component_labels(links, node_count=place.size)
+    # turned by a quarter, in the plane of the normals
+    sides = (np.cross(normals, np.roll(p, k, 1) - p) for k in (-1, 1))
+    weighted = angle_between(*sides)[..., None] * directions
+    return normalise(
+        np.stack([np.bincount(group, axis) for axis in weighted.reshape(-1, 3).T], 1)
+    )[group]
+
+
+def _in_plane(v: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Unit vectors (..., 3) of what of v is across the normal."""
+    return normalise(v - normal * (v * normal).sum(-1, keepdims=True))

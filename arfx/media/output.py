@@ -59,7 +59,7 @@ class OutputPlan(Document):
     codec: str
     container: str
     pixel_format: str
-    options: tuple[tuple[str, str], ...]
+    options: hdr.Options
     matrix: str
     full_range: bool
     matrix_tag: int = UNSPECIFIED
@@ -203,8 +203,7 @@ def choose_format(
 
 def names_sequence(path: Path) -> bool:
     """Whether an output name stands for a folder of images."""
-    suffix = path.suffix.lower()
-    return suffix == ".exr" or (suffix == ".png" and "%" in path.name)
+    return re.search(r"(?i).\.exr$|%.*\.png$", path.name) is not None
 
 
 def image_names(pattern: str) -> Callable[[str], bool]:
@@ -224,7 +223,7 @@ def image_names(pattern: str) -> Callable[[str], bool]:
     return named
 
 
-def _options(codec: Codec, settings: OutputSettings) -> tuple[tuple[str, str], ...]:
+def _options(codec: Codec, settings: OutputSettings) -> hdr.Options:
     options, crf, preset = dict(codec.options), settings.crf, settings.preset
     for what in ("crf", "preset"):
         asked, usual = getattr(settings, what), getattr(codec, what)

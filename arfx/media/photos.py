@@ -4,10 +4,11 @@ EXIF of the one it was made of.
 
 from __future__ import annotations
 
+import contextlib
 import io
+import re
 import struct
 import zlib
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,10 @@ from arfx.errors import InputError
 from arfx.media.images import decode_picture, is_heif, open_picture
 
 WRITTEN = (".png", ".jpg", ".jpeg")  # endings of one picture as an output
-_SIGNATURES = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"II*\0", b"MM\0*")
+_STILL = re.compile(
+    rb"(\x89PNG\r\n\x1a\n|\xff\xd8\xff|II\*\0|MM\0\*)(?!.*acTL)|.{8}WEBP(?!.*ANIM)",
+    re.DOTALL,
+)
 _ORIENTATION = 0x0112  # EXIF's tag
 _TIFF_STORAGE = {
     *range(254, 267),
@@ -39,9 +43,7 @@ def is_photo(path: Path) -> bool:
     """
     with path.open("rb") as f:
         head = f.read(4096)
-    webp = head[8:12] == b"WEBP" and b"ANIM" not in head
-    still = head.startswith(_SIGNATURES) and b"acTL" not in head
-    return webp or still or is_heif(head)
+    return _STILL.match(head) is not None or is_heif(head)
 
 
 def open_photo(path: Path) -> Any:
@@ -56,18 +58,16 @@ def open_photo(path: Path) -> Any:
         raise InputError(
             f"photo {path} holds {bgr.dtype} samples", "save it with 8 or 16 bits"
         )
-    held = io.BytesIO()
-    with av.open(held, "w", format="nut") as out:
-        stream: Any = out.add_stream("rawvideo", rate=1)
-        stream.height, stream.width = bgr.shape[:2]
-        stream.pix_fmt = "gbrp" if bgr.dtype == np.uint8 else "gbrp16le"
-        frame = av.VideoFrame.from_ndarray(
-            np.ascontiguousarray(bgr[..., ::-1]), format=stream.pix_fmt
-        )
-        frame.pts, frame.time_base = 0, Fraction(1)
-        out.mux([*stream.encode(frame), *stream.encode(None)])
-    held.seek(0)
-    return av.open(held, format="nut")
+    h, w = bgr.shape[:2]
+    return av.open(
+        io.BytesIO(np.moveaxis(bgr[..., [1, 0, 2]], -1, 0).tobytes()),
+        format="rawvideo",
+        options={
+            "video_size": f"{w}x{h}",
+            "pixel_format": "gbrp" if bgr.dtype == np.uint8 else "gbrp16le",
+            "framerate": "65536",
+        },
+    )
 
 
 def write_photo(part: Path, chunk: Path, source: Path, suffix: str) -> None:
@@ -75,15 +75,34 @@ def write_photo(part: Path, chunk: Path, source: Path, suffix: str) -> None:
 
     source : the photo whose colour profile and EXIF it gets;  suffix : of the kind, one of WRITTEN
     """
+    import cv2
     from PIL import Image
 
     with av.open(ffmpeg_url(chunk)) as container:
         frame = next(container.decode(video=0))
         deep = suffix == ".png" and frame.format.components[0].bits > 8
         rgb = frame.to_ndarray(format="rgb48le" if deep else "rgb24")
-    profile, exif = _origin(source)
+    profile = exif = b""
+    with contextlib.suppress(
+        Exception
+    ):  # whatever its header holds: pixels were read
+        data = read_bytes(source, "picture")
+        with open_picture(data, source, "photo") as picture:
+            tags = picture.getexif()
+            if _ORIENTATION in tags:
+                tags[_ORIENTATION] = 1
+            for tag in tags.keys() & _TIFF_STORAGE:
+                del tags[tag]
+            profile = picture.info.get("icc_profile") or b""
+            exif = tags.tobytes() if tags else b""
     if suffix == ".png":
-        part.write_bytes(_png(rgb, profile, exif.removeprefix(b"Exif\0\0")))
+        data = cv2.imencode(suffix, rgb[..., ::-1])[1].tobytes()
+        chunks = b""
+        if profile:
+            chunks += _png_chunk(b"iCCP", b"icc\0\0" + zlib.compress(profile))
+        if exif:
+            chunks += _png_chunk(b"eXIf", exif.removeprefix(b"Exif\0\0"))
+        part.write_bytes(data[:_IHDR_END] + chunks + data[_IHDR_END:])
         return
     Image.fromarray(rgb).save(
         part,
@@ -93,38 +112,6 @@ def write_photo(part: Path, chunk: Path, source: Path, suffix: str) -> None:
         icc_profile=profile or None,
         exif=exif,
     )
-
-
-def _origin(source: Path) -> tuple[bytes, bytes]:
-    """Colour profile and EXIF of a photo that is upright now, empty where it has none, or
-    is damaged there.
-    """
-    try:
-        data = read_bytes(source, "picture")
-        with open_picture(data, source, "photo") as picture:
-            exif = picture.getexif()
-            if _ORIENTATION in exif:
-                exif[_ORIENTATION] = 1
-            for tag in exif.keys() & _TIFF_STORAGE:
-                del exif[tag]
-            return picture.info.get(
-                "icc_profile"
-            ) or b"", exif.tobytes() if exif else b""
-    except Exception:  # whatever its header holds: the pixels were read
-        return b"", b""
-
-
-def _png(rgb: np.ndarray, profile: bytes, exif: bytes) -> bytes:
-    """PNG file of (h, w, 3) uint8 or uint16, with both behind its header."""
-    import cv2
-
-    data = cv2.imencode(".png", rgb[..., ::-1])[1].tobytes()
-    chunks = b""
-    if profile:
-        chunks += _png_chunk(b"iCCP", b"icc\0\0" + zlib.compress(profile))
-    if exif:
-        chunks += _png_chunk(b"eXIf", exif)
-    return data[:_IHDR_END] + chunks + data[_IHDR_END:]
 
 
 def _png_chunk(kind: bytes, content: bytes) -> bytes:

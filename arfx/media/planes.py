@@ -92,11 +92,15 @@ def working_layout(name: str) -> tuple[PixelLayout, str]:
     known = {
         f.name: f for n in video_formats if (f := layout_named(n)) and not f.alpha
     }
-    plain = [n for n, f in known.items() if n == f.plain_name]
-    best, _ = find_best_pix_fmt_of_list(plain, name)
+    best, _ = find_best_pix_fmt_of_list(
+        [n for n, f in known.items() if n == f.plain_name], name
+    )
     assert best is not None
-    alpha = any(c.is_alpha for c in av.VideoFormat(name, 16, 16).components)
-    lost = " (its transparency is left out)" if alpha else ""
+    lost = (
+        " (its transparency is left out)"
+        if any(c.is_alpha for c in av.VideoFormat(name, 16, 16).components)
+        else ""
+    )
     return known[best.name], f"pixel format {name} is repacked to {best.name}{lost}"
 
 

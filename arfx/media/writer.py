@@ -18,7 +18,7 @@ import numpy as np
 from av.codec.context import Flags
 
 from arfx.core.guard import TIMES
-from arfx.errors import ArfxError, RenderError
+from arfx.errors import ArfxError
 from arfx.media.clip import ClipInfo
 from arfx.media.codecs import CODECS, create_container, open_encoder
 from arfx.media.frame import SWS_MATRIX, Frame
@@ -39,13 +39,11 @@ def chunk_suffix(plan: OutputPlan) -> str:
 
 class ChunkWriter:
     """Context manager: frames in, a file (or a folder of images) out under `path`, or
-    nothing after an error. Raises RenderError: the file cannot be written, the encoder
-    fails, frames out of order, no frame at all."""
+    nothing after an error. Raises RenderError: the file cannot be written, the encoder fails."""
 
     def __init__(self, plan: OutputPlan, info: ClipInfo, path: Path) -> None:
         self.path = Path(path)
         self.part = self.path.with_name(self.path.name + ".part")
-        self._last: int | None = None
         with failures(self.path, lambda: remove_output(self.part)):
             remove_output(self.part)
             kind = _Images if plan.is_sequence else _Video
@@ -56,10 +54,6 @@ class ChunkWriter:
 
     def write(self, frame: Frame) -> None:
         """Encodes one frame; frames must come in order of presentation."""
-        if self._last is not None and frame.pts <= self._last:
-            what = f"its time {frame.pts} does not follow {self._last}"
-            raise RenderError(f"frame {frame.index}: {what}")
-        self._last = frame.pts
         with failures(self.path, self._abandon):
             self._file.write(frame)
 
@@ -68,8 +62,6 @@ class ChunkWriter:
             self._abandon()
             return
         with failures(self.path, self._abandon):
-            if self._last is None:
-                raise RenderError(f"{self.path}: a chunk without frames")
             self._file.finish()
             remove_output(self.path)
             self.part.replace(self.path)
@@ -94,8 +86,13 @@ class _Images:
             write_exr(path, linear)
         else:
             kind = np.uint8 if self._plan.pixel_format == "rgb24" else np.uint16
-            coded = np.clip(frame.format.transfer.encode(linear), 0, 1)
-            write_png(path, np.rint(coded * np.iinfo(kind).max).astype(kind))
+            write_png(
+                path,
+                np.rint(
+                    np.clip(frame.format.transfer.encode(linear), 0, 1)
+                    * np.iinfo(kind).max
+                ).astype(kind),
+            )
         self._times.append(f"{frame.index} {frame.time_s:.9f}\n")
 
     def finish(self) -> None:
@@ -113,13 +110,19 @@ class _Video:
         codec = CODECS[plan.codec]
         # no random identifiers: same frames, same bytes
         options = {"fflags": "+bitexact", "avoid_negative_ts": "disabled"}
-        kind = {".nut": "nut", ".mkv": "matroska"}[codec.chunk]
-        self._container = create_container(path, kind, container_options=options)
+        self._container = create_container(
+            path,
+            {".nut": "nut", ".mkv": "matroska"}[codec.chunk],
+            container_options=options,
+        )
         settings = dict(plan.options)
         if info.fields and plan.codec == "h264":
             settings = {"x264-params": f"{info.fields}=1"} | settings
-        rate = Fraction(info.fps or 25).limit_denominator(1001)
-        s = self._container.add_stream(codec.encoder, rate=rate, options=settings)
+        s = self._container.add_stream(
+            codec.encoder,
+            rate=Fraction(info.fps or 25).limit_denominator(1001),
+            options=settings,
+        )
         ctx = s.codec_context
         s.width, s.height = info.coded_width, info.coded_height
         packed = plan.codec == "ffv1" and plan.pixel_format == "gbrp"
@@ -210,8 +213,9 @@ def failures(path: Path, undo: Callable[[], None]) -> Iterator[None]:
     except BaseException as e:
         with contextlib.suppress(OSError):
             undo()
-        system = isinstance(e, (av.error.FFmpegError, OSError, ValueError))
-        if system and not isinstance(e, ArfxError):
+        if isinstance(
+            e, (av.error.FFmpegError, OSError, ValueError)
+        ) and not isinstance(e, ArfxError):
             raise write_failed(path, e) from e
         raise
 

@@ -29,9 +29,8 @@ from arfx.media.images import write_png
 from arfx.synth.description import Marker, SceneFile
 from arfx.synth.encode import ClipFile, VideoFile, measured_steps
 from arfx.synth.picture import Picture, expose, gain_at
-from arfx.synth.rays import LIFT_M
+from arfx.synth.rays import LIFT_M, surfaces
 from arfx.synth.shapes import write_model
-from arfx.synth.tracer import surfaces
 from arfx.synth.truth import (
     DEPTH_UNIT_M,
     FLOW_UNIT_PX,
@@ -142,8 +141,9 @@ def _fill(
                 folder / scene.depth.file,
                 (scene.clip.width, scene.clip.height),
             )
-            file = VideoFile(path, scene, "ffv1", size, "gray16le")
-            maps = files.enter_context(closing(file))
+            maps = files.enter_context(
+                closing(VideoFile(path, scene, "ffv1", size, "gray16le"))
+            )
         for n, time_s in enumerate(world.frame_times_s.tolist()):
             clip.write(expose(scene, picture.radiance(n), n, time_s), time_s)
             frames.append(frame_truth(world, n))
@@ -202,10 +202,15 @@ def frame_truth(world: World, n: int) -> FrameTruth:
         pixels = world.camera.project(points)
         size = world.camera.width, world.camera.height
         inside = ((pixels >= -0.5) & (pixels + 0.5 < size)).all(-1)
-        ahead = normalise(camera_from_marker.translation_m)
-        facing = float(-camera_from_marker.rotation[:, 2] @ ahead)
-        rays = divide(points[None, :, :2], points[:, 2:])
-        depth, _ = surfaces(rays, room, camera_from_room.inverse())
+        facing = float(
+            -camera_from_marker.rotation[:, 2]
+            @ normalise(camera_from_marker.translation_m)
+        )
+        depth, _ = surfaces(
+            divide(points[None, :, :2], points[:, 2:]),
+            room,
+            camera_from_room.inverse(),
+        )
         before = LIFT_M * points[:, 2] / np.linalg.norm(points, axis=1)
         seen = inside & (depth[0] >= points[:, 2] - before) & (facing > 0)
         side = float(np.linalg.norm(corners - np.roll(corners, 1, 0), axis=1).mean())
@@ -243,8 +248,11 @@ def frame_truth(world: World, n: int) -> FrameTruth:
 def stated_camera(scene: SceneFile, camera: Camera) -> Camera:
     """The camera that camera.yaml states."""
     error = 1 + scene.hidden.focal_error_percent / 100
-    matrix = camera.matrix * [[error, 1, 1], [1, error, 1], [1, 1, 1]]
-    return dataclasses.replace(camera, matrix=matrix, source="synth")
+    return dataclasses.replace(
+        camera,
+        matrix=camera.matrix * [[error, 1, 1], [1, error, 1], [1, 1, 1]],
+        source="synth",
+    )
 
 
 def job_toml(scene: SceneFile) -> str:

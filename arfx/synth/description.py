@@ -37,6 +37,7 @@ DEMO_SCENE = Path(__file__).with_name(
     "demo.toml"
 )  # a desk with an AprilTag and a cube of markers, filmed hand-held on an orbit
 
+ORIGIN = (0.0, 0.0, 0.0)
 Length = Annotated[float, _read(length_m)]
 NonNegativeLength = Annotated[Length, Field(ge=0)]
 PositiveLength = Annotated[Length, Field(gt=0)]
@@ -47,6 +48,7 @@ Share = Annotated[float, Field(ge=0, le=1)]
 Vector = tuple[Length, Length, Length]
 Angles = tuple[float, float, float]
 Colour = tuple[float, float, float]
+Pair = tuple[float, float]
 TransferName = Annotated[str, _read(lambda text: Transfer(text).name)]
 
 
@@ -74,9 +76,9 @@ class Key(Settings):
     """
 
     time_s: float
-    position_m: Vector = (0.0, 0.0, 0.0)
-    rotate_deg: Angles = (0.0, 0.0, 0.0)
-    target_m: Vector = (0.0, 0.0, 0.0)
+    position_m: Vector = ORIGIN
+    rotate_deg: Angles = ORIGIN
+    target_m: Vector = ORIGIN
 
 
 def _rising(keys: tuple[Key, ...]) -> tuple[Key, ...]:
@@ -102,7 +104,7 @@ class Motion(Settings):
     # turn: axis
     axis: Angles = (1.0, 0.0, 0.0)
     # turn: from, to over the clip
-    angle_deg: tuple[float, float] = (0.0, 0.0)
+    angle_deg: Pair = (0.0, 0.0)
     # sway: largest tilt about x and y, in two incommensurate periods
     tilt_deg: float = 0.0
     # sway: largest displacement
@@ -121,14 +123,14 @@ class CameraPath(Settings):
     """
 
     kind: Literal["static", "orbit", "dolly", "keys"] = "static"
-    target_m: Vector = (0.0, 0.0, 0.0)
+    target_m: Vector = ORIGIN
     # static, and where a dolly starts
     position_m: Vector = (0.0, -0.4, 0.4)
     # where a dolly ends
     end_m: Vector = (0.0, -0.4, 0.4)
     radius_m: PositiveLength = 0.5
-    azimuth_deg: tuple[float, float] = (-120.0, -60.0)
-    elevation_deg: tuple[float, float] = (45.0, 45.0)
+    azimuth_deg: Pair = (-120.0, -60.0)
+    elevation_deg: Pair = (45.0, 45.0)
     # rms of hand-held shake, smooth noise about 4 Hz
     hand_deg: NonNegative = 0.0
     hand_m: NonNegativeLength = 0.0
@@ -146,7 +148,7 @@ class Shot(Settings):
 class Lens(Settings):
     # horizontal field of view of the undistorted picture
     fov_deg: float = Field(default=60.0, gt=5, lt=160)
-    centre_offset_px: tuple[float, float] = (0.0, 0.0)
+    centre_offset_px: Pair = (0.0, 0.0)
     model: Literal["brown", "fisheye"] = "brown"
     distortion: tuple[float, ...] = ()
     # diameter of the lens's opening; 0 = pinhole
@@ -174,9 +176,9 @@ class Texture(Settings):
 
 class SceneObject(Settings):
     name: str = ""
-    position_m: Vector = (0.0, 0.0, 0.0)
+    position_m: Vector = ORIGIN
     # about x, then y, then z (fixed axes)
-    rotate_deg: Angles = (0.0, 0.0, 0.0)
+    rotate_deg: Angles = ORIGIN
     motion: Motion = Motion()
     # marker spec key or name whose axes and motion it follows
     attached_to: str = ""
@@ -238,12 +240,12 @@ class Lamp(Settings):
     rgb: Colour = (0.5, 0.5, 0.5)
     angular_size_deg: float = Field(default=2.0, ge=0, le=90)
     # amplitude of a sine in azimuth and in elevation
-    swing_deg: tuple[float, float] = (0.0, 0.0)
+    swing_deg: Pair = (0.0, 0.0)
     # of the swing
     period_s: Positive = 2.0
     # (time_s, factor), linear between; the same time twice is a switch; beyond the ends
     # held
-    brightness: tuple[tuple[float, float], ...] = ()
+    brightness: tuple[Pair, ...] = ()
 
 
 class Light(Settings):

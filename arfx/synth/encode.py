@@ -97,11 +97,8 @@ class ClipFile(VideoFile):
     def write(self, coded: np.ndarray, time_s: float) -> None:
         """coded (h, w, 3) float R'G'B' 0..1, upright;  time_s from the clip's first frame."""
         turned = np.rot90(coded, -self._scene.clip.rotation_deg // 90)
-        coded = np.ascontiguousarray(turned)
-        self.put(self._samples(coded), self._scene.clip.start_s + time_s)
-
-    def _samples(self, coded: np.ndarray) -> np.ndarray:
-        yuv = cv2.transform(coded, yuv_from_rgb("bt709").astype(np.float32))
+        matrix = yuv_from_rgb("bt709").astype(np.float32)
+        yuv = cv2.transform(np.ascontiguousarray(turned), matrix)
         luma, chroma = 16 + 219 * yuv[..., 0], 128 + 224 * yuv[..., 1:]
         shape: tuple[int, ...] = 3, *luma.shape
         if self._stream.pix_fmt == "yuv420p":
@@ -110,29 +107,25 @@ class ClipFile(VideoFile):
             wide = wide[:, ::2]
             chroma = (wide[::2] + wide[1::2]) / 2
             shape = luma.shape[0] * 3 // 2, luma.shape[1]
-        planes = np.concatenate(
-            [p.ravel() for p in (luma, *np.moveaxis(chroma, -1, 0))]
+        planes = [p.ravel() for p in (luma, *np.moveaxis(chroma, -1, 0))]
+        samples = np.clip(np.rint(np.concatenate(planes)), 0, 255)
+        self.put(
+            samples.astype(np.uint8).reshape(shape), self._scene.clip.start_s + time_s
         )
-        return np.clip(np.rint(planes), 0, 255).astype(np.uint8).reshape(shape)
 
     def close(self) -> None:
-        if self._tone is not None:
-            self._put_tone()
-        super().close()
-
-    def _put_tone(self) -> None:
         scene = self._scene
-        n = int(48_000 * scene.frames / scene.clip.fps)
-        turns = (scene.clip.tone_hz or 0) * np.arange(n) / 48_000
-        wave = (0.2 * np.sin(2 * np.pi * turns)).astype(np.float32)
-        frame = av.AudioFrame.from_ndarray(wave[None], "fltp", "mono")
-        frame.sample_rate, frame.time_base = 48_000, Fraction(1, 48_000)
-        frame.pts = round(scene.clip.start_s * 48_000)
-        for part in (
-            frame,
-            None,
-        ):  # the encoder cuts it and turns it into what it takes
-            self._out.mux(self._tone.encode(part))
+        if self._tone is not None:
+            samples = np.arange(int(48_000 * scene.frames / scene.clip.fps))
+            turns = (scene.clip.tone_hz or 0) * samples / 48_000
+            wave = (0.2 * np.sin(2 * np.pi * turns)).astype(np.float32)
+            frame = av.AudioFrame.from_ndarray(wave[None], "fltp", "mono")
+            frame.sample_rate, frame.time_base = 48_000, Fraction(1, 48_000)
+            frame.pts = round(scene.clip.start_s * 48_000)
+            # the encoder cuts it and turns it into what it takes
+            for part in (frame, None):
+                self._out.mux(self._tone.encode(part))
+        super().close()
 
 
 def _tag(what: Any) -> None:

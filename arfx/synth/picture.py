@@ -14,13 +14,13 @@ from arfx.core.colour import Transfer
 from arfx.core.parallel import parallel_map
 from arfx.core.pose import Pose
 from arfx.synth.description import SceneFile
-from arfx.synth.rays import Rays, Room
-from arfx.synth.tracer import radiance, surfaces
+from arfx.synth.rays import Rays, Room, radiance, surfaces
 from arfx.synth.world import World
 
 # a rolling shutter moves the scene once per band: under 2 px of motion in hand-held footage
 _BAND_ROWS = 24
 _KEEP_BYTES = 400_000_000  # rays kept from frame to frame
+Arrays = tuple[np.ndarray, np.ndarray]
 
 
 class Picture:
@@ -40,14 +40,12 @@ class Picture:
             self.side = max(
                 self.side, 4
             )  # fewer than 16 moments or lens points leave separate copies of an edge
-        kept = _KEEP_BYTES // (16 * world.camera.rect.area)
-        self.rays = lru_cache(kept)(self._rays)
-
-    def _rays(self, dx: float, dy: float) -> np.ndarray:
-        """(h, w, 2) camera directions at pixel centres shifted by (dx, dy) px; NaN where
-        the lens maps nothing.
-        """
-        return self.world.camera.normalised(np.add(_pixels(self.shape), (dx, dy)))
+        centres = _pixels(self.shape)
+        # (h, w, 2) camera directions at pixel centres shifted by (dx, dy) px; NaN where
+        # the lens maps nothing
+        self.rays = lru_cache(_KEEP_BYTES // (16 * world.camera.rect.area))(
+            lambda dx, dy: world.camera.normalised(np.add(centres, (dx, dy)))
+        )
 
     def radiance(self, frame: int) -> np.ndarray:
         """(h, w, 3) float64 linear radiance of a frame, before exposure.
@@ -59,20 +57,33 @@ class Picture:
         if n == 1 or not (scene.lens.shutter_s or scene.lens.aperture_m):
             light, number = self._sample(frame, 0.0, (0.0, 0.0), chosen, 1.0, seed)
             out, met = light.reshape(out.shape), number.reshape(self.shape)
-            box = np.ones((3, 3), np.uint8)
-            differs = cv2.morphologyEx(met, cv2.MORPH_GRADIENT, box) > 0
+            differs = (
+                cv2.morphologyEx(met, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
+                > 0
+            )
             chosen = ((met == 0) | differs) & (n > 1)
             out[chosen] = 0
         # which moment of the shutter a position gets
         order = np.random.default_rng([scene.seed, 11]).permutation(n * n)
         for k in range(n * n) if chosen.any() else ():
             place = (k % n + 0.5) / n - 0.5, (k // n + 0.5) / n - 0.5
-            late = scene.lens.shutter_s * ((order[k] + 0.5) / (n * n) - 0.5)
-            light, _ = self._sample(frame, late, place, chosen, 1 / n, seed + k)
+            light, _ = self._sample(
+                frame,
+                scene.lens.shutter_s * ((order[k] + 0.5) / (n * n) - 0.5),
+                place,
+                chosen,
+                1 / n,
+                seed + k,
+            )
             out[chosen] += light / n**2
         if (sigma := scene.lens.softness_px) > 0:
-            size = (2 * int(np.ceil(4 * sigma)) + 1,) * 2
-            cv2.GaussianBlur(out, size, sigma, out, borderType=cv2.BORDER_REPLICATE)
+            cv2.GaussianBlur(
+                out,
+                (2 * int(np.ceil(4 * sigma)) + 1,) * 2,
+                sigma,
+                out,
+                borderType=cv2.BORDER_REPLICATE,
+            )
         return out
 
     def _sample(
@@ -83,60 +94,55 @@ class Picture:
         chosen: np.ndarray,
         footprint: float,
         seed: int,
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> Arrays:
         """Of each chosen pixel (h, w) one sample at that place in it, so late after the frame's
         own time, for a footprint of that width in pixels; as `tracer.radiance` gives them."""
         pixels, rays = np.argwhere(chosen), self.rays(*place)
         rows, roll = len(chosen), self.world.scene.hidden.rolling_shutter_s
         cuts = np.searchsorted(pixels[:, 0], range(_BAND_ROWS, rows, _BAND_ROWS))
-        seen, spans = cache(partial(self._seen, frame)), footprint * _spans(rays)
+        seen = cache(partial(self._seen, frame))
+        # what pixels span, right and down, as camera directions without z
+        right = np.diff(rays, axis=1, append=rays[:, -2:-1])
+        down = np.diff(rays, axis=0, append=rays[-2:-1])
+        # a neighbour beyond the lens's field: assume square pixels
+        right = np.where(np.isfinite(right), right, down[..., ::-1] * [1, -1])
+        down = np.where(np.isfinite(down), down, right[..., ::-1] * [-1, 1])
+        spans = footprint * np.nan_to_num(np.stack([right, down], 2))
 
-        def one(part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        lens = self.world.scene.lens
+
+        def one(part: np.ndarray) -> Arrays:
             at = tuple(part.T)
             first = part[0, 0] // _BAND_ROWS * _BAND_ROWS
             middle = (first + min(first + _BAND_ROWS, rows)) / 2
             room, pose = seen(late_s + (roll and roll * (middle / rows - 0.5)))
-            numbers = np.ravel_multi_index(at, chosen.shape)
-            return radiance(
-                self._through_lens(rays[at], spans[at], numbers, pose, seed), room
+            number = np.ravel_multi_index(at, chosen.shape)
+            ahead, starts, turn = rays[at], np.zeros((len(part), 3)), pose.rotation.T
+            if lens.aperture_m > 0:  # through a random point of it
+                radius = 0.5 * lens.aperture_m * np.sqrt(_noise(seed, 2 * number))
+                angle = 2 * np.pi * _noise(seed, 2 * number + 1)
+                starts[:, 0] = radius * np.cos(angle)
+                starts[:, 1] = radius * np.sin(angle)
+                ahead = ahead - starts[:, :2] / (lens.focus_m or 1.0)
+            through = Rays(
+                starts @ turn + pose.translation_m,
+                ahead @ turn[:2] + turn[2],
+                spans[at] @ turn[:2],
+                2 * np.pi * _noise(seed + 7, number),
             )
+            return radiance(through, room)
 
-        parts = filter(len, np.split(pixels, cuts))
-        light, met = zip(*parallel_map(one, parts), strict=True)
-        return np.concatenate(light), np.concatenate(met)
-
-    def _through_lens(
-        self,
-        ahead: np.ndarray,
-        spans: np.ndarray,
-        number: np.ndarray,
-        pose: Pose,
-        seed: int,
-    ) -> Rays:
-        """In the room, through pixels (n,) of these numbers and a random point of the aperture."""
-        lens, starts = self.world.scene.lens, np.zeros((len(number), 3))
-        if lens.aperture_m > 0:
-            radius = 0.5 * lens.aperture_m * np.sqrt(_noise(seed, 2 * number))
-            angle = 2 * np.pi * _noise(seed, 2 * number + 1)
-            starts[:, 0], starts[:, 1] = (
-                radius * np.cos(angle),
-                radius * np.sin(angle),
-            )
-            ahead = ahead - starts[:, :2] / (lens.focus_m or 1.0)
-        turn = pose.rotation.T
-        return Rays(
-            starts @ turn + pose.translation_m,
-            ahead @ turn[:2] + turn[2],
-            spans @ turn[:2],
-            2 * np.pi * _noise(seed + 7, number),
+        light, met = zip(
+            *parallel_map(one, filter(len, np.split(pixels, cuts))), strict=True
         )
+        return np.concatenate(light), np.concatenate(met)
 
     def _seen(self, frame: int, late_s: float = 0.0) -> tuple[Room, Pose]:
         """The room so late after the frame's own time, and room_from_camera."""
         time_s = float(self.world.frame_times_s[frame]) + late_s
         return self.world.at(time_s), self.world.camera_at(frame, time_s).inverse()
 
-    def surfaces(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
+    def surfaces(self, frame: int) -> Arrays:
         """(depth (h, w) m along the axis, object number (h, w) uint8) at pixel centres and
         the frame's own time; 0 = nothing.
         """
@@ -150,8 +156,9 @@ class Picture:
         if world.shots[frame] not in world.shots[frame + 1 : frame + 2]:
             return out
         t0, t1 = world.frame_times_s[[frame, frame + 1]].tolist()
-        rays = self.rays(0.0, 0.0)
-        points = np.dstack([rays, np.ones(depth.shape)]) * depth[..., None]
+        points = (
+            np.dstack([self.rays(0.0, 0.0), np.ones(depth.shape)]) * depth[..., None]
+        )
         _, room_from_camera = self._seen(frame)
         next_camera = world.camera_at(frame + 1, t1)
         poses = zip(world.poses(t0), world.poses(t1), strict=True)
@@ -166,16 +173,6 @@ class Picture:
 def _pixels(shape: tuple[int, ...]) -> np.ndarray:
     """(h, w, 2) x and y of every pixel's centre."""
     return np.dstack([*np.indices(shape, float)[::-1]])
-
-
-def _spans(rays: np.ndarray) -> np.ndarray:
-    """(h, w, 2, 2) what pixels span, right and down, as camera directions without z."""
-    right = np.diff(rays, axis=1, append=rays[:, -2:-1])
-    down = np.diff(rays, axis=0, append=rays[-2:-1])
-    # a neighbour beyond the lens's field: assume square pixels
-    right = np.where(np.isfinite(right), right, down[..., ::-1] * [1, -1])
-    down = np.where(np.isfinite(down), down, right[..., ::-1] * [-1, 1])
-    return np.nan_to_num(np.stack([right, down], 2))
 
 
 def _noise(seed: int, numbers: np.ndarray) -> np.ndarray:
@@ -206,9 +203,10 @@ def expose(
     noise = scene.noise
     if noise.read > 0 or noise.shot > 0:
         sigma = np.sqrt(noise.read**2 + noise.shot * np.clip(signal, 0, 1))
-        rng = np.random.default_rng([scene.seed, 101, frame])
         signal = signal + sigma * unit_noise(
-            rng, signal.shape, scene.hidden.noise_correlation_px
+            np.random.default_rng([scene.seed, 101, frame]),
+            signal.shape,
+            scene.hidden.noise_correlation_px,
         )
     return (
         Transfer(scene.hidden.transfer)
@@ -224,8 +222,9 @@ def unit_noise(
     white = rng.standard_normal(shape, np.float32)
     if correlation_px <= 0:
         return white
-    side = 2 * max(int(np.ceil(4 * correlation_px)), 1) + 1
-    kernel = cv2.getGaussianKernel(side, correlation_px)
+    kernel = cv2.getGaussianKernel(
+        2 * max(int(np.ceil(4 * correlation_px)), 1) + 1, correlation_px
+    )
     blurred = cv2.sepFilter2D(
         white, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT
     )

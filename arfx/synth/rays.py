@@ -1,4 +1,10 @@
-"""Compiled loops over rays: what they meet, and the light that comes from there.
+"""Radiance along rays: rectangles and spheres, lit directly with true shadows, textures averaged
+exactly over a footprint; by compiled loops.
+
+A texture is a summed-area table. Its bilinear interpolation integrates a picture of
+constant cells exactly, so the edges of a print are anti-aliased without sampling error
+(Crow 1984, "Summed-area tables for texture mapping"). Radiance follows arfx.core.light:
+ambient + sum of rgb * max(n·d, 0) * visible, times albedo.
 
 Row layouts (float64):
 rectangle  0-2 centre, 3-5 u, 6-8 v, 9-11 normal, 12 half width, 13 half height, 14 texture,
@@ -18,6 +24,8 @@ from typing import NamedTuple
 import numpy as np
 
 from arfx.core.compiled import line_kernel
+from arfx.core.numerics import normalise
+from arfx.core.pose import Pose
 from arfx.core.vectors import cross, dot, minus, scaled, shifted, unit, vector
 
 FAR = 1e30  # nothing is met
@@ -60,54 +68,35 @@ class Room(NamedTuple):
 
 
 @line_kernel(error_model="numpy")
-def _rectangle_distance(start, towards, rects, i, farthest):
-    """Where a ray meets rectangle i, in units of `towards`; `farthest` if not before.
-    Without a division but for a ray that meets it: both sides are times |towards·n|."""
-    offset, normal = minus(vector(rects[i]), start), vector(rects[i, 9:])
-    rise, away = dot(towards, normal), dot(offset, normal)
-    if rise < 0.0:
-        rise, away = -rise, -away
-    if away <= 1e-9 * rise or away >= farthest * rise:
-        return farthest
-    for axis in range(2):
-        across = vector(rects[i, 3 + 3 * axis :])
-        missed = abs(away * dot(towards, across) - dot(offset, across) * rise)
-        if missed > rects[i, 12 + axis] * rise:
-            return farthest
-    return away / rise
-
-
-@line_kernel(error_model="numpy")
-def _sphere_distance(start, towards, spheres, i, farthest):
-    """Where a ray meets sphere i, in units of `towards`; `farthest` if not before."""
-    offset, squared = minus(vector(spheres[i]), start), dot(towards, towards)
-    middle = dot(offset, towards) / squared
-    across = shifted(offset, -middle, towards)
-    inside = spheres[i, 3] * spheres[i, 3] - dot(across, across)
-    if inside <= 0.0:
-        return farthest
-    half = math.sqrt(inside / squared)
-    distance = middle - half if middle - half > 1e-9 else middle + half
-    return distance if 1e-9 < distance < farthest else farthest
-
-
-@line_kernel(error_model="numpy")
 def _intersect(start, towards, rects, spheres, any_hit):
     """(distance in units of `towards`, or FAR; index of the surface along a ray, a sphere's
-    counted on behind the rectangles): the nearest, or with `any_hit` the first that is found.
-    """
-    best, index = FAR, -1
-    for i in range(rects.shape[0] + spheres.shape[0]):
-        if i < rects.shape[0]:
-            distance = _rectangle_distance(start, towards, rects, i, best)
-        else:
-            distance = _sphere_distance(
-                start, towards, spheres, i - rects.shape[0], best
-            )
-        if distance < best:
-            best, index = distance, i
+    counted on behind the rectangles): the nearest, or with `any_hit` any that is found."""
+    best, index, count = FAR, -1, rects.shape[0]
+    for i in range(count):
+        offset, normal = minus(vector(rects[i]), start), vector(rects[i, 9:])
+        rise, away = dot(towards, normal), dot(offset, normal)
+        if rise < 0.0:
+            rise, away = -rise, -away
+        # without a division but where it is met: both sides are times |towards·n|
+        inside = 1e-9 * rise < away < best * rise
+        for axis in range(2):
+            across = vector(rects[i, 3 + 3 * axis :])
+            missed = abs(away * dot(towards, across) - dot(offset, across) * rise)
+            inside = inside and missed <= rects[i, 12 + axis] * rise
+        if inside:
+            best, index = away / rise, i
             if any_hit:
                 break
+    squared = dot(towards, towards)
+    for i in range(spheres.shape[0]):
+        offset = minus(vector(spheres[i]), start)
+        middle = dot(offset, towards) / squared
+        across = shifted(offset, -middle, towards)
+        within = spheres[i, 3] * spheres[i, 3] - dot(across, across)
+        half = math.sqrt(max(within, 0.0) / squared)
+        distance = middle - half if middle - half > 1e-9 else middle + half
+        if within > 0.0 and 1e-9 < distance < best:
+            best, index = distance, count + i
     return best, index
 
 
@@ -235,3 +224,42 @@ def shade(rays: Rays, room: Room, radiance, numbers):
         for c in range(3):
             radiance[n, c] = albedo[c] * light[c] + shine[c]
         numbers[n] = 2 + number % _NUMBERS if whole else 0
+
+
+def radiance(rays: Rays, room: Room) -> tuple[np.ndarray, np.ndarray]:
+    """(n, 3) what comes along rays; (n,) uint16 a number for the surface and the lights that it
+    sees: 1 where nothing is met, as by a ray that is NaN, 0 where a part of a light is seen,
+    and on a print."""
+    light, numbers = np.zeros(rays.starts.shape), np.ones(len(rays.starts), np.uint16)
+    shade(rays, room, light, numbers)
+    if room.sky.size:
+        away = (numbers == 1) & np.isfinite(rays.towards[:, 0])
+        height, width = room.sky.shape[:2]
+        x, y, up = normalise(rays.towards[away]).T
+        light[away] = room.sky[
+            np.minimum(
+                ((0.5 - np.arcsin(up) / np.pi) * height).astype(int), height - 1
+            ),
+            ((0.5 - np.arctan2(y, x) / (2 * np.pi)) * width).astype(int) % width,
+        ]
+    return light, numbers
+
+
+def surfaces(
+    rays: np.ndarray, room: Room, pose: Pose
+) -> tuple[np.ndarray, np.ndarray]:
+    """(depth (h, w) along the axis, object number (h, w) uint8) of the first surface along
+    rays (h, w, 2), camera directions; 0 = nothing. pose : room_from_camera
+    """
+    towards = np.pad(rays.reshape(-1, 2), ((0, 0), (0, 1)), constant_values=1.0)
+    starts = np.tile(pose.translation_m, (len(towards), 1))
+    distance, index = np.empty(len(towards)), np.empty(len(towards), np.int64)
+    towards = towards @ pose.rotation.T
+    first_hits(starts, towards, room.rects, room.spheres, distance, index)
+    depth, owner = (
+        np.where(index < 0, 0.0, distance),
+        np.concatenate([room.rects[:, 15], room.spheres[:, 7], [0.0]])[index].astype(
+            np.uint8
+        ),
+    )
+    return depth.reshape(rays.shape[:2]), owner.reshape(rays.shape[:2])

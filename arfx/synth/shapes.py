@@ -16,7 +16,8 @@ from arfx.errors import ConfigError
 _LISTED = tomllib.loads(Path(__file__).with_name("shapes.toml").read_text("utf-8"))
 _GREY = (0.7, 0.7, 0.7)
 SHAPES: Mapping[str, list[dict[str, Any]]] = _LISTED | {
-    f"icosphere{n}": [{"ball": 0.5, "fineness": n, "rgb": _GREY}] for n in range(1, 8)
+    f"icosphere{n}": [{"icosphere": {"subdivisions": n, "radius": 0.5}, "rgb": _GREY}]
+    for n in range(1, 8)
 }
 
 
@@ -40,26 +41,25 @@ def _mesh(part: Mapping[str, Any]) -> Any:
     from trimesh.visual import TextureVisuals
     from trimesh.visual.material import PBRMaterial
 
-    uv, picture = None, None
-    if "rod" in part:
-        mesh = creation.cylinder(part["rod"], segment=part["ends"], sections=32)
-    elif "ball" in part:
-        mesh = creation.icosphere(part.get("fineness", 2), part["ball"])
-    elif "block" in part:
-        mesh = creation.box(part["block"])
-        mesh.unmerge_vertices()
+    uv = picture = None
+    if "flag" in part:
+        # both sides, so that no back end needs double-sided materials
+        faces = [[0, 3, 1], [1, 3, 2], [4, 5, 7], [5, 6, 7]]
+        mesh = Trimesh(part["flag"] * 2, faces, process=False)
+        uv = np.array([[0, 1], [1, 1], [1, 0], [0, 0]] * 2, float)
+        colours = np.where(
+            sum(np.indices((96, 128, 1)) // 16) % 2, [235, 235, 235], [20, 110, 40]
+        )
+        picture = Image.fromarray(colours.astype(np.uint8))
     elif "cushion" in part:
         mesh = creation.icosphere(3)
         bulge = np.sign(mesh.vertices) * np.abs(mesh.vertices) ** 0.35
         mesh.vertices = bulge / np.abs(bulge).max(0) * np.array(part["cushion"]) / 2
     else:
-        # both sides, so that no back end needs double-sided materials
-        faces = [[0, 3, 1], [1, 3, 2], [4, 5, 7], [5, 6, 7]]
-        mesh = Trimesh(part["flag"] * 2, faces, process=False)
-        uv = np.array([[0, 1], [1, 1], [1, 0], [0, 0]] * 2, float)
-        light = np.kron(np.indices((6, 8)).sum(0) % 2, np.ones((16, 16)))[..., None]
-        colours = np.where(light, [235, 235, 235], [20, 110, 40])
-        picture = Image.fromarray(colours.astype(np.uint8))
+        kind = next(iter(part))
+        mesh = getattr(creation, kind)(**part[kind])
+        if kind == "box":
+            mesh.unmerge_vertices()
     mesh.apply_translation(part.get("at", (0, 0, 0)))
     material = PBRMaterial(
         name=f"{part['rgb']}",

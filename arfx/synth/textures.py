@@ -13,6 +13,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 
 from arfx.core.colour import SRGB
 from arfx.core.marker_codes import marker_cells
@@ -21,6 +22,7 @@ from arfx.errors import InputError
 from arfx.media.images import decode_picture
 from arfx.synth.description import Marker, Texture
 
+Shape = tuple[int, int]
 _ROOMS = tomllib.loads(Path(__file__).with_name("rooms.toml").read_text("utf-8"))
 
 
@@ -47,11 +49,7 @@ def texture_albedo(
     rng = np.random.default_rng([seed, zlib.crc32(texture.kind.encode())])
     texel = max(max(size_m) / 1024, texture.feature_m / 6)
     w, h = (max(round(side / texel), 2) for side in size_m)
-    shape, cell, tuft = (
-        (h, w),
-        texture.feature_m / texel,
-        texture.feature_m / texel / 2,
-    )
+    shape, cell = (h, w), texture.feature_m / texel
     if texture.kind == "wood":
         mix = _wood(rng, shape, cell)
     elif texture.kind == "poster":
@@ -59,9 +57,12 @@ def texture_albedo(
     elif texture.kind == "noise":
         mix = _octaves(rng, shape, cell * 2, cell * 2)
     elif texture.kind == "carpet":
-        coarse = _octaves(rng, shape, cell * 4, cell * 4, 3)
-        tufts = _smooth(rng, shape, max(tuft, 1), max(tuft, 1))
-        mix = np.clip(0.5 * coarse + 0.5 * tufts, 0, 1)
+        mix = np.clip(
+            0.5 * _octaves(rng, shape, cell * 4, cell * 4, 3)
+            + 0.5 * _smooth(rng, shape, cell / 2, cell / 2),
+            0,
+            1,
+        )
     else:
         mix = np.asarray((np.indices(shape) // cell).sum(0) % 2, np.float32)
     if mix.ndim == 2:
@@ -70,36 +71,28 @@ def texture_albedo(
     return np.clip(mix, 0.01, 0.95).astype(np.float32)
 
 
-def _smooth(
-    rng: np.random.Generator, shape: tuple[int, int], cell_y: float, cell_x: float
-) -> np.ndarray:
-    """Value noise 0..1 with features of that many texels."""
-    h, w = shape
-    grid = rng.random(
-        (max(int(h / cell_y) + 2, 2), max(int(w / cell_x) + 2, 2)), np.float32
-    )
-    return cv2.resize(grid, (w, h), interpolation=cv2.INTER_CUBIC)
+def _smooth(rng: Generator, shape: Shape, *cells: float) -> np.ndarray:
+    """Value noise 0..1 with features of that many texels down and across, at least one."""
+    size = [int(n / max(cell, 1)) + 2 for n, cell in zip(shape, cells, strict=True)]
+    grid = rng.random(size, np.float32)
+    return cv2.resize(grid, shape[::-1], interpolation=cv2.INTER_CUBIC)
 
 
 def _octaves(
-    rng: np.random.Generator,
-    shape: tuple[int, int],
+    rng: Generator,
+    shape: Shape,
     cell_y: float,
     cell_x: float,
     count: int = 4,
 ) -> np.ndarray:
     total = np.zeros(shape, np.float32)
     for k in range(count):
-        total += (
-            _smooth(rng, shape, max(cell_y / 2**k, 1), max(cell_x / 2**k, 1)) * 0.6**k
-        )
+        total += _smooth(rng, shape, cell_y / 2**k, cell_x / 2**k) * 0.6**k
     spread = (total - total.mean()) / max(float(total.std()), 1e-6)
     return np.clip(0.5 + 0.25 * spread, 0, 1)
 
 
-def _wood(
-    rng: np.random.Generator, shape: tuple[int, int], cell: float
-) -> np.ndarray:
+def _wood(rng: Generator, shape: Shape, cell: float) -> np.ndarray:
     """Boards along x: grain stretched along the board, another tone and shift for each,
     dark joints.
     """
@@ -107,22 +100,22 @@ def _wood(
     board = max(cell * 5, 4)
     number = (np.arange(h, dtype=np.float32) / board).astype(int)
     wave = _octaves(rng, shape, cell, cell * 12)
-    fine = _smooth(rng, shape, max(cell / 5, 1), cell * 3)
+    fine = _smooth(rng, shape, cell / 5, cell * 3)
     boards = int(h / board) + 2
     tone = rng.random(boards).astype(np.float32)[number]
     shift = rng.integers(0, w, boards)[number]
-    along = (np.arange(w) - shift[:, None]) % w
     grain = (
-        np.take_along_axis(0.55 * wave + 0.25 * fine, along, 1) + 0.3 * tone[:, None]
+        np.take_along_axis(
+            0.55 * wave + 0.25 * fine, (np.arange(w) - shift[:, None]) % w, 1
+        )
+        + 0.3 * tone[:, None]
     )
     grain[1:][np.diff(number) > 0] *= 0.35
     grain[np.arange(h), shift] *= 0.4
     return np.clip(grain, 0, 1)
 
 
-def _posters(
-    rng: np.random.Generator, shape: tuple[int, int], cell: float
-) -> np.ndarray:
+def _posters(rng: Generator, shape: Shape, cell: float) -> np.ndarray:
     """A wall with coloured posters of rectangles, discs and lines: strong corners for flow."""
     h, w = shape
     base = 0.55 + 0.12 * (_octaves(rng, shape, cell, cell, 3) - 0.5)
@@ -164,19 +157,28 @@ def sheet_albedo(
     ink = np.linspace(
         marker.ink, marker.ink if right_ink is None else right_ink, len(white)
     )
-    side_m = marker.spec.size_m * len(white) / len(big)
-    return np.where(white, marker.paper, ink)[..., None], side_m
+    return np.where(white, marker.paper, ink)[..., None], marker.spec.size_m * len(
+        white
+    ) / len(big)
 
 
 def environment_picture(source: str | Path, folder: Path | None = None) -> np.ndarray:
     """(h, 2h, 3) float64 linear radiance. `source`: "studio", "sunset" or an .hdr file
     beside the scene. Raises InputError if the file cannot be read or holds values that are
     not finite and >= 0."""
-    if str(source) in _ROOMS:
-        return _made(str(source))
+    if (room := _ROOMS.get(str(source))) is not None:
+        towards, _ = _directions(128, 256)
+        up = towards[..., 2:]
+        parts = np.dstack([up**0, (1 - np.abs(up)) ** 3, np.abs(up)])
+        made = np.where(up > 0, *(parts @ np.array(half) for half in room["halves"]))
+        for lamp in room["lamps"]:
+            aside = towards @ normalise(np.array(lamp["towards"]))
+            made[aside > np.cos(np.radians(lamp["radius_deg"]))] = lamp["rgb"]
+        return made
     path = (folder or Path()) / source
-    picture = decode_picture(path, "image", cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
-    rgb = picture[..., ::-1].astype(float)
+    rgb = decode_picture(path, "image", cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)[
+        ..., ::-1
+    ].astype(float)
     if not np.isfinite(rgb).all() or rgb.min() < 0:
         raise InputError(
             f"environment {path} holds values that are not finite and >= 0"
@@ -184,26 +186,13 @@ def environment_picture(source: str | Path, folder: Path | None = None) -> np.nd
     return cv2.resize(rgb, (256, 128), interpolation=cv2.INTER_AREA)
 
 
-def _made(name: str) -> np.ndarray:
-    towards, _ = _directions(128, 256)
-    z = towards[..., 2:]
-    low, high = (1 - np.abs(z)) ** 3, np.abs(z)
-    if name == "studio":  # grey room, two soft boxes and a warm strip
-        picture = np.repeat(0.25 + 0.1 * z, 3, axis=2)
-    else:
-        sky = np.dstack([0.25 + 0.5 * low, 0.3 + 0.25 * low, 0.5 - 0.1 * high])
-        picture = np.where(z > 0, sky, [0.12, 0.11, 0.1])
-    for lamp in _ROOMS[name]:
-        aside = towards @ normalise(np.array(lamp["towards"]))
-        picture[aside > np.cos(np.radians(lamp["radius_deg"]))] = lamp["rgb"]
-    return picture
-
-
 def _directions(h: int, w: int) -> tuple[np.ndarray, np.ndarray]:
     """Unit vectors (h, w, 3) of a panorama's pixels, and the solid angles (h, w) of these."""
-    elevation = np.pi * (0.5 - (np.arange(h) + 0.5) / h)
-    azimuth = 2 * np.pi * (0.5 - (np.arange(w) + 0.5) / w)
-    e, a = np.meshgrid(elevation, azimuth, indexing="ij")
+    e, a = np.meshgrid(
+        np.pi * (0.5 - (np.arange(h) + 0.5) / h),
+        2 * np.pi * (0.5 - (np.arange(w) + 0.5) / w),
+        indexing="ij",
+    )
     return direction_of(a, e), np.cos(e) * (np.pi / h) * (2 * np.pi / w)
 
 
@@ -216,9 +205,9 @@ def environment_lights(picture: np.ndarray, count: int) -> np.ndarray:
     power = picture.mean(-1) * solid
     # of each pixel: direction by power, light, power, row
     light = picture * solid[..., None] / np.pi
-    row = np.indices((h, w))[0]
-    pixels = np.dstack([towards * power[..., None], light, power, row])
-    regions = [pixels]
+    regions = [
+        np.dstack([towards * power[..., None], light, power, np.indices((h, w))[0]])
+    ]
     while len(regions) < count:
         sizes = [r[..., 6].sum() if r[..., 6].size > 1 else -1.0 for r in regions]
         pick = int(np.argmax(sizes))
@@ -226,11 +215,24 @@ def environment_lights(picture: np.ndarray, count: int) -> np.ndarray:
             break
         region = regions.pop(pick)
         rows, columns, _ = region.shape
-        middle = np.cos(np.pi * (0.5 - (region[0, 0, 7] + rows / 2) / h))
-        axis = 0 if columns == 1 or rows > columns * 2 * h / w * middle else 1
+        axis = (
+            0
+            if columns == 1
+            or rows
+            > columns
+            * 2
+            * h
+            / w
+            * np.cos(np.pi * (0.5 - (region[0, 0, 7] + rows / 2) / h))
+            else 1
+        )
         sums = region[..., 6].sum(1 - axis).cumsum()
-        cut = np.clip(np.searchsorted(sums, sums[-1] / 2) + 1, 1, len(sums) - 1)
-        regions += np.split(region, [int(cut)], axis)
+        regions += np.split(
+            region,
+            [int(np.clip(np.searchsorted(sums, sums[-1] / 2) + 1, 1, len(sums) - 1))],
+            axis,
+        )
     totals = [r.sum((0, 1)) for r in regions]
-    lights = [[*normalise(t[:3]), *t[3:6], 0.0] for t in totals if t[:3].any()]
-    return np.array(lights, float).reshape(-1, 7)
+    return np.array(
+        [[*normalise(t[:3]), *t[3:6], 0.0] for t in totals if t[:3].any()], float
+    ).reshape(-1, 7)

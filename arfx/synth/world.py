@@ -49,7 +49,13 @@ class World:
     def __init__(self, scene: SceneFile, folder: Path | None = None) -> None:
         self.scene = scene
         self.camera = true_camera(scene)
-        self.frame_times_s = _frame_times(scene)
+        n = np.arange(scene.frames, dtype=float)
+        if scene.clip.frame_times == "variable":
+            n[1:-1] += np.random.default_rng([scene.seed, 90_000]).uniform(
+                -0.35, 0.35, n[1:-1].shape
+            )
+        # on the clip's 1/90000 s clock
+        self.frame_times_s = np.round(n / scene.clip.fps * 90_000) / 90_000
         self.shots = np.repeat(
             np.arange(len(scene.shot)), [s.frames for s in scene.shot]
         )
@@ -65,13 +71,22 @@ class World:
             return self.room.lights
         rows = []
         for li in self.scene.light.lamps:
-            swing = np.sin(2 * np.pi * time_s / li.period_s) * np.array(li.swing_deg)
-            angles = np.radians(np.add(swing, (li.azimuth_deg, li.elevation_deg)))
+            angles = np.radians(
+                np.add(
+                    np.sin(2 * np.pi * time_s / li.period_s) * np.array(li.swing_deg),
+                    (li.azimuth_deg, li.elevation_deg),
+                )
+            )
             # of two keys at one time the later holds from then on
             keys = np.array(li.brightness or [(0.0, 1.0)])
             rgb = np.interp(time_s, *keys.T) * np.array(li.rgb)
-            disc = np.tan(np.radians(li.angular_size_deg) / 2)
-            rows.append([*direction_of(*angles), *rgb, disc])
+            rows.append(
+                [
+                    *direction_of(*angles),
+                    *rgb,
+                    np.tan(np.radians(li.angular_size_deg) / 2),
+                ]
+            )
         return np.array(rows).reshape(-1, 7)
 
     def poses(self, time_s: float) -> tuple[Pose, ...]:
@@ -153,9 +168,12 @@ def _room(scene: SceneFile, folder: Path | None) -> Room:
             assert isinstance(p, (Plane, Box))
             size_m[: len(p.size_m)] = p.size_m
             x, y, z = size_m.tolist()
-            covered = (max(x, y), max(y, z)) if isinstance(p, Box) else (x, y)
-            seed = scene.seed * 1000 + number - 1
-            picture = texture_albedo(p.texture, covered, seed, folder)
+            picture = texture_albedo(
+                p.texture,
+                (max(x, y), max(y, z)) if isinstance(p, Box) else (x, y),
+                scene.seed * 1000 + number - 1,
+                folder,
+            )
             smallest = float(isinstance(p, Box) or p.texture.kind != "checker")
         half = size_m / 2
         for u, v in _SIDES if isinstance(p, Box) else (_UP,):
@@ -185,32 +203,22 @@ def _room(scene: SceneFile, folder: Path | None) -> Room:
     )
 
 
-def _frame_times(scene: SceneFile) -> np.ndarray:
-    """Seconds from the first frame, on the clip's 1/90000 s clock."""
-    n = np.arange(scene.frames, dtype=float)
-    if scene.clip.frame_times == "variable":
-        rng = np.random.default_rng([scene.seed, 90_000])
-        n[1:-1] += rng.uniform(-0.35, 0.35, n[1:-1].shape)
-    return np.round(n / scene.clip.fps * 90_000) / 90_000
-
-
-def marker_points(marker: Marker, count: int = 12) -> np.ndarray:
-    """(count², 3) points spread evenly over the marker's black square, marker axes, metres."""
-    grid = ((np.arange(count) + 0.5) / count - 0.5) * marker.spec.size_m
+def marker_points(marker: Marker) -> np.ndarray:
+    """(144, 3) points spread evenly over the marker's black square, marker axes, metres."""
+    grid = ((np.arange(12) + 0.5) / 12 - 0.5) * marker.spec.size_m
     x, y = np.meshgrid(grid, grid)
     return np.stack([x, y, 0 * x], -1).reshape(-1, 3)
 
 
-def smooth_noise(
-    seed: int, name: str, time_s: float, rate_hz: float, channels: int
-) -> np.ndarray:
-    """(channels,) band-limited noise with unit rms over time: six sinusoids around
+def smooth_noise(seed: int, name: str, time_s: float, rate_hz: float) -> np.ndarray:
+    """(6,) band-limited noise with unit rms over time: six sinusoids around
     `rate_hz`, phases from the seed.
     """
     rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-    hz = rate_hz * rng.uniform(0.4, 1.6, (channels, 6))
-    phase = rng.uniform(0, 2 * np.pi, (channels, 6))
-    return np.sin(2 * np.pi * hz * time_s + phase).sum(1) / np.sqrt(3.0)
+    hz = rate_hz * rng.uniform(0.4, 1.6, (6, 6))
+    return np.sin(2 * np.pi * hz * time_s + rng.uniform(0, 2 * np.pi, (6, 6))).sum(
+        1
+    ) / np.sqrt(3.0)
 
 
 def look_at(position_m: np.ndarray, target_m: np.ndarray) -> Pose:
@@ -232,18 +240,19 @@ def camera_from_room(
     target, position = np.array([path.target_m, path.position_m], float)
     share = _share(time_s, duration_s)
     if path.kind == "orbit":
-        ends = np.radians([path.azimuth_deg, path.elevation_deg])
-        towards = direction_of(*(ends @ (1 - share, share)))
-        position = target + path.radius_m * towards
+        position = target + path.radius_m * direction_of(
+            *(np.radians([path.azimuth_deg, path.elevation_deg]) @ (1 - share, share))
+        )
     elif path.kind == "dolly":
         ease = smoothstep(share)
         position = (1 - ease) * position + ease * np.asarray(path.end_m)
     elif path.kind == "keys":
         position = _between(path.keys, "position_m", time_s)
         target = _between(path.keys, "target_m", time_s)
-    shake = smooth_noise(seed, f"hand {name}", time_s, 4.0, 6)
-    slow = smooth_noise(seed, f"drift {name}", time_s, 0.7, 6)
-    both = (shake + 2 * slow) / np.sqrt(5.0)
+    both = (
+        smooth_noise(seed, f"hand {name}", time_s, 4.0)
+        + 2 * smooth_noise(seed, f"drift {name}", time_s, 0.7)
+    ) / np.sqrt(5.0)
     return _trembling(both, path.hand_deg, path.hand_m) @ look_at(position, target)
 
 
@@ -269,15 +278,16 @@ def room_from_object(
     if motion.kind == "still":
         return pose
     if motion.kind == "keys":
-        rotation = rotation_from_euler_deg(
-            *_between(motion.keys, "rotate_deg", time_s)
+        pose = Pose(
+            rotation_from_euler_deg(*_between(motion.keys, "rotate_deg", time_s)),
+            _between(motion.keys, "position_m", time_s),
         )
-        pose = Pose(rotation, _between(motion.keys, "position_m", time_s))
     elif motion.kind == "turn":
         share = _share(time_s, duration_s)
         angle = np.radians(motion.angle_deg) @ (1 - share, share)
-        axis = normalise(np.asarray(motion.axis, float))
-        pose = pose @ Pose.from_rotvec(axis * angle, np.zeros(3))
+        pose = pose @ Pose.from_rotvec(
+            normalise(np.asarray(motion.axis, float)) * angle, np.zeros(3)
+        )
     else:
         a = 2 * np.pi * time_s / motion.period_s
         golden = (
@@ -287,10 +297,16 @@ def room_from_object(
         about_y = rotation_from_euler_deg(
             0.0, motion.tilt_deg * np.sin(golden + 1), 0.0
         )
-        travel = np.array([np.sin(golden), np.sin(a + 2), 0.5 * np.sin(1.3 * a)])
-        pose = pose @ Pose(about_x @ about_y, motion.travel_m * travel)
-    tremor = smooth_noise(seed, f"tremor {name}", time_s, 6.0, 6)
-    return pose @ _trembling(tremor, motion.tremor_deg, motion.tremor_m)
+        pose = pose @ Pose(
+            about_x @ about_y,
+            motion.travel_m
+            * np.array([np.sin(golden), np.sin(a + 2), 0.5 * np.sin(1.3 * a)]),
+        )
+    return pose @ _trembling(
+        smooth_noise(seed, f"tremor {name}", time_s, 6.0),
+        motion.tremor_deg,
+        motion.tremor_m,
+    )
 
 
 def _between(keys: tuple[Key, ...], name: str, time_s: float) -> np.ndarray:

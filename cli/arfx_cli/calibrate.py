@@ -129,8 +129,12 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
     progress
     """
     from arfx.calibrate.advice import TILTED_DEG
-    from arfx.calibrate.calibration import calibrate, find_board
-    from arfx.calibrate.document import document, file_extras
+    from arfx.calibrate.calibration import (
+        calibrate,
+        document,
+        file_extras,
+        find_board,
+    )
     from arfx.calibrate.plots import write_plots
     from arfx.media.cameras import save_camera
     from arfx.run.pages import render

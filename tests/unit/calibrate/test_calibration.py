@@ -25,10 +25,11 @@ from arfx.calibrate.calibration import (
     Found,
     Picture,
     calibrate,
+    document,
+    file_extras,
     find_board,
 )
 from arfx.calibrate.corners import View
-from arfx.calibrate.document import document, file_extras
 from arfx.calibrate.plots import write_plots
 from arfx.calibrate.solve import FIRST_MODEL, fit, uncertainty
 from arfx.errors import InputError, NothingToDoError

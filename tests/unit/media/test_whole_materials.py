@@ -7,8 +7,7 @@ import pytest
 from PIL import Image
 
 from arfx.core.model import CLAMP, MIRROR, REPEAT, TEXTURE_SLOTS, Material, Texture
-from arfx.media.model_normals import corner_tangents
-from arfx.media.model_parts import part_of
+from arfx.media.model_parts import corner_tangents, part_of
 from arfx.media.models import load_model
 from tests.unit.media.test_gltf_whole import CORNERS, SQUARE, Writer
 

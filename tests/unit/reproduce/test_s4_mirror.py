@@ -8,7 +8,7 @@ import pytest
 from arfx.reproduce.s4_pictures import mirror_rays
 from arfx.synth.description import parse_scene
 from arfx.synth.picture import Picture
-from arfx.synth.tracer import radiance
+from arfx.synth.rays import radiance
 from arfx.synth.world import World
 
 SCENE = """
