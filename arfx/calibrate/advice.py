@@ -59,9 +59,8 @@ def judge(figures: dict[str, float]) -> tuple[str, tuple[str, ...]]:
         grade = int(sign * value >= sign * poor) + int(sign * value >= sign * good)
         graded.append((grade, limit["text"].format(value=value, limit=good)))
     graded.sort(key=lambda figure: figure[0])
-    return (POOR, USABLE, GOOD)[graded[0][0]], tuple(
-        text for grade, text in graded if grade < 2
-    )
+    word = (POOR, USABLE, GOOD)[graded[0][0]]
+    return word, tuple(text for grade, text in graded if grade < 2)
 
 
 def figures(
@@ -144,10 +143,8 @@ def coverage(fitted: Fit) -> Coverage:
     # the normal leans away from the near edge, so the near edge lies on the opposite side
     azimuth = np.degrees(np.arctan2(-normals[:, 1], -normals[:, 0])) % 360
     quarter = ((azimuth + 45) % 360 // 90).astype(int)
-    radius = float(
-        np.linalg.norm(points - ((w - 1) / 2, (h - 1) / 2), axis=1).max()
-        / np.hypot(w / 2, h / 2)
-    )
+    off = points - ((w - 1) / 2, (h - 1) / 2)
+    radius = float(np.linalg.norm(off, axis=1).max() / np.hypot(w / 2, h / 2))
     return Coverage(
         counts.astype(int),
         float((counts > 0).mean()),
@@ -164,12 +161,9 @@ def projection_jacobian(fitted: Fit) -> np.ndarray:
 
     A change of intrinsics that only turns the picture is no error for anyone who estimates
     the pose with them. The camera's distortion must not fold inside (`solve.one_to_one`)."""
+    rays = fitted.camera.directions(grid_pixels(fitted.camera, *GRID))
     j = cv2.projectPoints(
-        fitted.camera.directions(grid_pixels(fitted.camera, *GRID)),
-        np.zeros(3),
-        np.zeros(3),
-        fitted.camera.matrix,
-        fitted.camera.distortion,
+        rays, np.zeros(3), np.zeros(3), fitted.camera.matrix, fitted.camera.distortion
     )[1]
     return without_pose(fitted.model.by_parameters(j), j[:, :3])
 
@@ -179,10 +173,7 @@ def projection_uncertainty_px(fitted: Fit, known: Uncertainty) -> np.ndarray:
     square of x and y).
     """
     j = projection_jacobian(fitted)
-    return np.sqrt(
-        np.maximum(
-            np.einsum("np,pq,nq->n", j, known.covariance, j).reshape(-1, 2).sum(1)
-            / 2,
-            0.0,
-        )
+    variance = (
+        np.einsum("np,pq,nq->n", j, known.covariance, j).reshape(-1, 2).sum(1) / 2
     )
+    return np.sqrt(np.maximum(variance, 0.0))

@@ -66,10 +66,8 @@ class View:
     def without(self, number: int) -> View:
         """Without one of its corners."""
         names = ("ids", "board_m", "pixels")
-        return replace(
-            self,
-            **{name: np.delete(getattr(self, name), number, 0) for name in names},
-        )
+        rest = {name: np.delete(getattr(self, name), number, 0) for name in names}
+        return replace(self, **rest)
 
 
 def find_view(gray: np.ndarray, spec: BoardSpec, name: str) -> View | None:
@@ -115,13 +113,8 @@ def _refined(gray: np.ndarray, rough: np.ndarray, share: float) -> np.ndarray:
     between two of them.
     """
     rough = np.asarray(rough, np.float32).reshape(-1, 2)
-    half = int(
-        np.clip(
-            round(share * cKDTree(rough).query(rough, 2)[0][:, 1].min()),
-            REFINE_MIN_PX,
-            REFINE_MAX_PX,
-        )
-    )
+    nearest = cKDTree(rough).query(rough, 2)[0][:, 1].min()
+    half = int(np.clip(round(share * nearest), REFINE_MIN_PX, REFINE_MAX_PX))
     return cv2.cornerSubPix(gray, rough.copy(), (half, half), (-1, -1), STOP).astype(
         float
     )
@@ -229,11 +222,8 @@ def _working_spec(
     """A change of pattern, orientation or dictionary with which the board is found."""
     # the smallest dictionary of the same bits that holds the ids seen and the board's own
     own = spec.family.split("_")[0] == family.split("_")[0]
-    name = (
-        spec.family
-        if own
-        else smallest_family(family, max(highest, spec.columns * spec.rows // 2 - 1))
-    )
+    most = max(highest, spec.columns * spec.rows // 2 - 1)
+    name = spec.family if own else smallest_family(family, most)
     for columns, rows in ((spec.columns, spec.rows), (spec.rows, spec.columns)):
         for legacy in (spec.legacy, not spec.legacy):
             trial = replace(

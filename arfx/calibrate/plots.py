@@ -46,11 +46,10 @@ def _residuals(result: Calibration) -> Figure:
         scale=1 / scale,
         width=0.0015,
     )
-    _picture_axes(
-        field,
-        result,
-        f"found minus predicted, {scale:.0f} x enlarged: rms {fitted.rms_px:.3f} px",
+    words = (
+        f"found minus predicted, {scale:.0f} x enlarged: rms {fitted.rms_px:.3f} px"
     )
+    _picture_axes(field, result, words)
     rows = np.arange(len(fitted.views))
     bars.barh(rows, result.chosen.held_out_px, color="0.75", label="held out")
     bars.barh(rows, fitted.view_rms_px, height=0.45, label="fitted")
@@ -70,14 +69,8 @@ def _coverage(result: Calibration) -> Figure:
     tilts = figure.add_subplot(1, 2, 2, projection="polar")
     camera, seen = result.fitted.camera, result.seen
     x, y = grid_pixels(camera, *GRID).T.reshape(2, *GRID[::-1])
-    filled = picture.contourf(
-        x,
-        y,
-        result.projection_sd_px.reshape(x.shape),
-        levels=12,
-        cmap="YlOrRd",
-        alpha=0.7,
-    )
+    values = result.projection_sd_px.reshape(x.shape)
+    filled = picture.contourf(x, y, values, levels=12, cmap="YlOrRd", alpha=0.7)
     words = "projection uncertainty (1 standard deviation), px"
     figure.colorbar(filled, ax=picture, label=words, shrink=0.8)
     for view in result.fitted.views:

@@ -155,17 +155,11 @@ def _board(spec: BoardSpec) -> _Print:
             np.ravel(board.getIds()), board.getObjPoints(), strict=True
         ):
             cells = ~marker_cells(spec.family, int(number))
-            black.append(
-                outlines(
-                    cells,
-                    1000 * spec.marker_m / len(cells),
-                    1000 * np.asarray(corners, float)[0, :2],
-                )
-            )
+            place = 1000 * np.asarray(corners, float)[0, :2]
+            black.append(outlines(cells, 1000 * spec.marker_m / len(cells), place))
+    words = str(spec) + (" (inner corners)" if spec.kind == CHESSBOARD else "")
     return _Print(
-        (columns * square, rows * square, 0.0),
-        np.concatenate(black),
-        str(spec) + (" (inner corners)" if spec.kind == CHESSBOARD else ""),
+        (columns * square, rows * square, 0.0), np.concatenate(black), words
     )
 
 
@@ -197,13 +191,8 @@ def _sheet(
     up = np.where(ticks % length == 0, 3.0, 1.5)
     lines = [[(x, y), (x + length, y)]]
     lines += [[(x + t, y - u), (x + t, y)] for t, u in zip(ticks, up, strict=True)]
-    texts.append(
-        (
-            width / 2,
-            y - 3.5,
-            f"{length:g} mm: measure this line; print at 100 %, not 'fit to page'",
-        )
-    )
+    words = f"{length:g} mm: measure this line; print at 100 %, not 'fit to page'"
+    texts.append((width / 2, y - 3.5, words))
     return Sheet(title, width, height, black, texts, np.array(lines))
 
 

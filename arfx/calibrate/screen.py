@@ -55,12 +55,8 @@ def drop_copies(views: Sequence[View]) -> tuple[list[View], list[Rejected]]:
         nearest = min(moved, default=np.inf)
         if nearest < SAME_VIEW_FRACTION * view.size[0]:
             twin = kept[moved.index(nearest)].name
-            dropped.append(
-                Rejected(
-                    view.name,
-                    f"the same view as {twin}: its corners moved {nearest:.2f} px",
-                )
-            )
+            reason = f"the same view as {twin}: its corners moved {nearest:.2f} px"
+            dropped.append(Rejected(view.name, reason))
         else:
             kept.append(view)
     return sorted(kept, key=list(views).index), dropped
@@ -161,12 +157,8 @@ def picture_sharpness(gray: np.ndarray) -> float:
     between frames of one clip.
     """
     share = 1 / max(1, round(gray.shape[1] / 640))
-    return float(
-        cv2.Laplacian(
-            cv2.resize(gray, None, fx=share, fy=share, interpolation=cv2.INTER_AREA),
-            cv2.CV_32F,
-        ).var()
-    )
+    small = cv2.resize(gray, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
+    return float(cv2.Laplacian(small, cv2.CV_32F).var())
 
 
 def sharpest_of_each(

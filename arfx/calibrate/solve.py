@@ -97,14 +97,8 @@ class Fit(NamedTuple):
     def noise_px(self) -> float:
         """Standard deviation of one coordinate of one corner, if errors are independent."""
         points = sum(map(len, self.residuals))
-        return self.rms_px * float(
-            np.sqrt(
-                points
-                / max(
-                    1, 2 * points - len(self.model.parameters) - 6 * len(self.views)
-                )
-            )
-        )
+        free = 2 * points - len(self.model.parameters) - 6 * len(self.views)
+        return self.rms_px * float(np.sqrt(points / max(1, free)))
 
     @property
     def view_rms_px(self) -> np.ndarray:
@@ -158,9 +152,8 @@ def fit(views: Sequence[View], model: LensModel) -> Fit:
             flags=model.flags,
             criteria=STOP,
         )
-        camera = Camera(
-            *views[0].size, matrix, np.ravel(distortion)[: max(5, model.free)]
-        )  # refuses what is not finite
+        lens = np.ravel(distortion)[: max(5, model.free)]
+        camera = Camera(*views[0].size, matrix, lens)  # refuses what is not finite
     except (cv2.error, ArfxError):
         raise NothingToDoError(
             f"{len(views)} views of the board do not determine a camera",
@@ -170,17 +163,10 @@ def fit(views: Sequence[View], model: LensModel) -> Fit:
     for view, rvec, tvec in zip(views, rotations, translations, strict=True):
         residual, jacobian = _residual(view, rvec, tvec, camera)
         residuals.append(residual)
-        derivatives.append(
-            without_pose(model.by_parameters(jacobian), jacobian[:, :6])
-        )
-    return Fit(
-        model,
-        camera,
-        tuple(views),
-        np.reshape(rotations, (-1, 3)),
-        residuals,
-        derivatives,
-    )
+        own = model.by_parameters(jacobian)
+        derivatives.append(without_pose(own, jacobian[:, :6]))
+    turns = np.reshape(rotations, (-1, 3))
+    return Fit(model, camera, tuple(views), turns, residuals, derivatives)
 
 
 def _residual(
@@ -238,9 +224,8 @@ def uncertainty(fitted: Fit) -> Uncertainty:
     # the correlations of independent errors: with few views the jackknife's are blind to some
     # directions
     larger = np.maximum(1.0, divide(jackknife, np.sqrt(np.diag(independent))))
-    return Uncertainty(
-        independent * np.outer(scale * larger, scale * larger), condition(normal)
-    )
+    covariance = independent * np.outer(scale * larger, scale * larger)
+    return Uncertainty(covariance, condition(normal))
 
 
 def _inverse(normal: np.ndarray) -> np.ndarray:
@@ -286,9 +271,9 @@ def choose_model(views: Sequence[View]) -> tuple[Evidence, list[Evidence]]:
     # difference
     for simple in usable:
         difference = simple.held_out_px**2 - best.held_out_px**2
+        error = np.std(difference, ddof=1) / np.sqrt(len(difference))
         if np.mean(difference) <= max(
-            np.std(difference, ddof=1) / np.sqrt(len(difference)),
-            LEAST_GAIN * 2 * best.held_out_rms_px**2,
+            error, LEAST_GAIN * 2 * best.held_out_rms_px**2
         ):
             return simple, table
     return best, table
@@ -303,9 +288,8 @@ def cross_validate(views: Sequence[View], model: LensModel) -> Evidence:
         if folds == 3:  # none can be held out: residuals, and what fitting took away
             held_out[:] = fitted.noise_px * np.sqrt(2)
         for k in range(folds) if folds > 3 else ():
-            camera = fit(
-                [v for i, v in enumerate(views) if i % folds != k], model
-            ).camera
+            others = [v for i, v in enumerate(views) if i % folds != k]
+            camera = fit(others, model).camera
             held_out[k::folds] = [
                 rms(pose_residual(v, camera)) for v in views[k::folds]
             ]
@@ -328,9 +312,6 @@ def one_to_one(camera: Camera) -> bool:
 
 def grid_pixels(camera: Camera, across: int, down: int) -> np.ndarray:
     """(n, 2) pixels spread evenly over the picture, borders included."""
-    return np.dstack(
-        np.meshgrid(
-            np.linspace(0, camera.width - 1, across),
-            np.linspace(0, camera.height - 1, down),
-        )
-    ).reshape(-1, 2)
+    x = np.linspace(0, camera.width - 1, across)
+    y = np.linspace(0, camera.height - 1, down)
+    return np.dstack(np.meshgrid(x, y)).reshape(-1, 2)

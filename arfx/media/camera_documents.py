@@ -171,10 +171,8 @@ def _colmap(rows: list[list[Any]]) -> dict[str, Any]:
         names = TABLES["colmap"].get(model, "")
         values = numbers(given, f"camera {camera}")
         if names and len(values) != len(names.split()):
-            raise CameraFileError(
-                f"{model} has {len(values)} parameters",
-                f"{len(names.split())}: {names}",
-            )
+            what = f"{model} has {len(values)} parameters"
+            raise CameraFileError(what, f"{len(names.split())}: {names}")
         focals = 1 if names.startswith("f ") else 2
         centre = values[focals : focals + 2] - _COLMAP_CENTRE_PX
         cameras[camera] = {
@@ -215,10 +213,8 @@ def _xml(text: str) -> Document:
         raise ValueError("a DOCTYPE is not read")
     root = ElementTree.fromstring(text)
     if root.tag != "opencv_storage":
-        raise CameraFileError(
-            f"it is XML of another program (<{root.tag[:40]}>)",
-            f"export it for OpenCV; supported: {SUPPORTED}",
-        )
+        what = f"it is XML of another program (<{root.tag[:40]}>)"
+        raise CameraFileError(what, f"export it for OpenCV; supported: {SUPPORTED}")
     out: dict[str, Any] = {}
     for node in root:
         words = (node.findtext("data") or node.text or "").split()

@@ -79,10 +79,8 @@ def _from_names(document: Document, where: str) -> Camera:
         words.append(flat.get("cameramodel"))
     models = {str(word).lower() for word in words if word}
     if unknown := models.difference(*_LENSES.values()):
-        raise CameraFileError(
-            f"lens model {' '.join(unknown)!r} is not supported",
-            "plumb_bob, rational_polynomial, equidistant",
-        )
+        what = f"lens model {' '.join(unknown)!r} is not supported"
+        raise CameraFileError(what, "plumb_bob, rational_polynomial, equidistant")
     # OpenCV's calibration sample marks a fisheye calibration with `fisheye_model: 1`
     fisheye = (
         models.intersection(_LENSES["fisheye"])
@@ -133,9 +131,8 @@ def _size(flat: Document) -> tuple[int, int]:
         )
     sides = numbers(stated, "the picture size")
     if [side.is_integer() for side in sides] != [True, True]:
-        raise CameraFileError(
-            "picture size {} x {}".format(*stated), "two whole numbers of pixels"
-        )
+        what = "picture size {} x {}".format(*stated)
+        raise CameraFileError(what, "two whole numbers of pixels")
     return int(sides[0]), int(sides[1])
 
 
@@ -199,9 +196,8 @@ def _stored_matrix(m: np.ndarray) -> dict[str, Any]:
 def _check(camera: Camera) -> None:
     """Raises CameraFileError: a matrix of another shape, numbers that no camera has."""
     m = camera.matrix
-    off = np.abs(
-        m - np.array([[m[0, 0], 0, m[0, 2]], [0, m[1, 1], m[1, 2]], [0, 0, 1]])
-    ) > 1e-6 * np.array([[camera.fx], [camera.fy], [1]])
+    form = np.array([[m[0, 0], 0, m[0, 2]], [0, m[1, 1], m[1, 2]], [0, 0, 1]])
+    off = np.abs(m - form) > 1e-6 * np.array([[camera.fx], [camera.fy], [1]])
     for name, row, wrong in zip(("first", "second", "last"), m, off, strict=True):
         if wrong.any():
             numbers = " ".join(f"{v:g}" for v in row)

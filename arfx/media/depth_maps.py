@@ -53,10 +53,8 @@ def _open_video(path: Path) -> tuple[Read, tuple[float, ...]]:
     Raises InputError: it holds no depth; when read: the frame cannot be decoded."""
     info = probe(path)
     if not re.fullmatch(r"gray1\d[lb]e", info.pixel_format):
-        raise InputError(
-            f"depth {path} holds {info.pixel_format} pictures, not depth",
-            "grey of 16 bits: FFV1 gray16 in .mkv",
-        )
+        what = f"depth {path} holds {info.pixel_format} pictures, not depth"
+        raise InputError(what, "grey of 16 bits: FFV1 gray16 in .mkv")
     with ClipReader(info, threads=1) as reader:
         times = reader.times()
         pts = [frame.pts for frame in reader.frames()] if times is None else times.pts
@@ -87,10 +85,8 @@ def _page(path: Path, number: int) -> np.ndarray:
     """(h, w[, channels]) of a TIFF as stored. Raises InputError where it cannot be read."""
     done, pages = cv2.imreadmulti(str(path), number, 1, flags=cv2.IMREAD_UNCHANGED)
     if not done or len(pages) != 1:
-        raise InputError(
-            f"depth {path}: page {number} cannot be read",
-            "TIFF with 16-bit or float pages",
-        )
+        what = f"depth {path}: page {number} cannot be read"
+        raise InputError(what, "TIFF with 16-bit or float pages")
     return np.asarray(pages[0])
 
 
@@ -129,11 +125,8 @@ class DepthMaps:
         if self.still:
             return [0] * len(times_s)
         if self.times_s is not None:
-            found = match_by_time(
-                np.array(self.times_s) + self.start_s,
-                times_s,
-                _REACH * spacing_s(self.times_s),
-            )
+            taken_s = np.array(self.times_s) + self.start_s
+            found = match_by_time(taken_s, times_s, _REACH * spacing_s(self.times_s))
             return [None if m is None else m.nearest for m in found]
         what = f"depth {self.path} holds {self.count} maps"
         hint = (
@@ -198,9 +191,8 @@ def open_depth(
             if count < 1:
                 hint = "16-bit or float pages"
                 raise InputError(f"depth {path} cannot be read as a TIFF", hint)
-            return DepthMaps(
-                path, (path,), count, steps_per_m, start_s, None, partial(_page, path)
-            )
+            page = partial(_page, path)
+            return DepthMaps(path, (path,), count, steps_per_m, start_s, None, page)
         if suffix in VIDEO:
             read, times_s = _open_video(path)
             count = len(times_s)
@@ -277,12 +269,8 @@ def fill_holes(depth_m: np.ndarray, guide: np.ndarray) -> np.ndarray:
     of_label = np.zeros(int(label.max()) + 1, np.float32)
     of_label[label[known]] = dioptre[known]  # of the nearest known pixel
     least, most = dioptre[known].min(), dioptre[known].max()
-    taken = divide(
-        1.0,
-        np.where(
-            total > _FAINT,
-            np.clip(divide(value, total), least, most),
-            of_label[label],
-        ),
-    ).astype(np.float32)
+    spread = np.clip(divide(value, total), least, most)
+    taken = divide(1.0, np.where(total > _FAINT, spread, of_label[label])).astype(
+        np.float32
+    )
     return np.where(known, depth_m, taken)

@@ -130,13 +130,9 @@ class ClipReader:
             if last_pts is not None and pts > last_pts:
                 return
             if first_pts is None or pts >= first_pts:
-                yield Frame(
-                    repacked(picture, self._format.layout.name),
-                    self._format,
-                    next(index),
-                    pts,
-                    bool(picture.key_frame),
-                )
+                held = repacked(picture, self._format.layout.name)
+                key = bool(picture.key_frame)
+                yield Frame(held, self._format, next(index), pts, key)
 
     def times(self) -> FrameTimes | None:
         """None where packets do not tell: a time is missing, there twice, or they go back."""
@@ -155,12 +151,8 @@ class ClipReader:
                 keys.append(time)
         if len(set(pts)) < len(pts):
             return None
-        return FrameTimes(
-            sorted(pts),
-            sorted(keys),
-            self._verdict(True),
-            self.damaged or bool(self._stopped),
-        )
+        irregular = self.damaged or bool(self._stopped)
+        return FrameTimes(sorted(pts), sorted(keys), self._verdict(True), irregular)
 
     def shifts(self) -> list[int]:
         """What frames' times are given beside those of the file, after each place where
@@ -309,11 +301,8 @@ class ClipReader:
         for picture in pictures:
             stated = picture.dts if self._by_decoding else picture.pts
             if last is None:
-                pts = (
-                    self.info.start_pts
-                    if self._by_decoding or stated is None
-                    else stated
-                )
+                start = self.info.start_pts
+                pts = start if self._by_decoding or stated is None else stated
                 shift = 0 if stated is None else pts - stated
             elif stated is None:
                 pts = last + step
@@ -335,11 +324,8 @@ class ClipReader:
             reason = f"the file ends after {length_s:.2f} s of {stated_s:.2f} s"
         if not reason and 0 < self._packets < stated:
             reason = f"{self._packets} of {stated} frames are in the file"
-        return (
-            f"{info.path}: {reason}; processed to the last good frame"
-            if reason
-            else None
-        )
+        done = f"{info.path}: {reason}; processed to the last good frame"
+        return done if reason else None
 
 
 def read_on(container: Any, streams: list[Any]) -> Iterator[Any]:

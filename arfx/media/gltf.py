@@ -59,9 +59,8 @@ class Gltf:
         for buffer in self.header.get("buffers", []):
             content, size = self.content(buffer), buffer.get("byteLength", 0)
             if len(content) < size:
-                raise InputError(
-                    f"a buffer holds {len(content)} of {size} bytes", DAMAGED
-                )
+                what = f"a buffer holds {len(content)} of {size} bytes"
+                raise InputError(what, DAMAGED)
             self._buffers.append(content)
 
     def content(self, given: Json) -> bytes:
@@ -95,11 +94,8 @@ class Gltf:
             out[:] = self._values(accessor, count, found)
         if sparse := accessor.get("sparse"):
             rows = self._values(sparse["indices"], sparse["count"], 1)[:, 0]
-            out[rows] = self._values(
-                {"componentType": accessor["componentType"], **sparse["values"]},
-                sparse["count"],
-                found,
-            )
+            values = {"componentType": accessor["componentType"], **sparse["values"]}
+            out[rows] = self._values(values, sparse["count"], found)
         return shares(out) if accessor.get("normalized") else out
 
     def _values(self, place: Json, count: int, columns: int) -> np.ndarray:
@@ -107,12 +103,10 @@ class Gltf:
         view = self._views[place["bufferView"]]
         kind = np.dtype(_ACCESSORS[str(place["componentType"])])
         start = view.get("byteOffset", 0) + place.get("byteOffset", 0)
+        stride = view.get("byteStride", kind.itemsize * columns)
+        content = self._buffers[view["buffer"]]
         return np.ndarray(
-            (count, columns),
-            kind,
-            self._buffers[view["buffer"]],
-            start,
-            (view.get("byteStride", kind.itemsize * columns), kind.itemsize),
+            (count, columns), kind, content, start, (stride, kind.itemsize)
         )
 
 
@@ -171,9 +165,8 @@ def gltf_material(gltf: Gltf, number: int, coloured: bool) -> Material:
     name = f"{given.get('name', 'material')} {number}"
     if "KHR_materials_unlit" in extensions:
         if coloured:  # they are no part of emission
-            notices.append(
-                f"material {name} is unlit with colours by vertex: it is shown lit"
-            )
+            text = f"material {name} is unlit with colours by vertex: it is shown lit"
+            notices.append(text)
         else:
             # on a surface that sends nothing back
             *colour, alpha = fields["base_colour"]
@@ -246,9 +239,8 @@ def _texture(gltf: Gltf, slot: Json | None) -> Texture | None:
     if picture is None:
         return None
     if uv_set not in (0, 1):
-        gltf.file.notices.append(
-            "left out a texture laid by a third set of coordinates"
-        )
+        what = "left out a texture laid by a third set of coordinates"
+        gltf.file.notices.append(what)
         return None
     sampler: Json = {}
     if "sampler" in texture:
@@ -287,9 +279,8 @@ def _metallic(
     d, s = np.sqrt(colour**2 @ weights), np.sqrt(specular**2 @ weights)
     rest = (1.0 - specular.max(-1)) / (1.0 - _DIELECTRIC)
     b = d * rest + s - 2 * _DIELECTRIC
-    share = (
-        np.sqrt(np.maximum(b * b - 4 * _DIELECTRIC * (_DIELECTRIC - s), 0.0)) - b
-    ) / (2 * _DIELECTRIC)
+    square = b * b - 4 * _DIELECTRIC * (_DIELECTRIC - s)
+    share = (np.sqrt(np.maximum(square, 0.0)) - b) / (2 * _DIELECTRIC)
     metal = np.where(s < _DIELECTRIC, 0.0, np.clip(share, 0.0, 1.0))
     m = metal[..., None]
     matt = colour * rest[..., None] / np.maximum(1.0 - m, 1e-6)

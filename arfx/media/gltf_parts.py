@@ -78,10 +78,8 @@ def _placed(gltf: Gltf) -> Iterator[tuple[int, np.ndarray]]:
     while waiting:
         number, model_from_parent = waiting.pop()
         if number in seen:
-            raise InputError(
-                f"node {number} is below itself or below two others",
-                "nodes must form a tree",
-            )
+            what = f"node {number} is below itself or below two others"
+            raise InputError(what, "nodes must form a tree")
         seen.add(number)
         node = nodes[number]
         extensions = node.get("extensions", {})

@@ -80,12 +80,8 @@ def load_image(path: Path) -> np.ndarray:
 
 def _linear(coded: np.ndarray) -> np.ndarray:
     """float32 of whole numbers in sRGB."""
-    return np.take(
-        SRGB.decode(np.linspace(0, 1, 1 << 8 * coded.dtype.itemsize)).astype(
-            np.float32
-        ),
-        coded,
-    )
+    values = np.linspace(0, 1, 1 << 8 * coded.dtype.itemsize)
+    return np.take(SRGB.decode(values).astype(np.float32), coded)
 
 
 def load_print(path: Path) -> tuple[np.ndarray, float]:
@@ -130,10 +126,8 @@ def _one_channel(data: bytes, path: Path) -> bytes:
     wanted = next((n for n in _DEPTH_CHANNELS if n in ends), None)
     if wanted is None:
         held = ", ".join(n.decode(errors="replace") for n in ends)
-        raise InputError(
-            f"depth map {path} holds the channels {held}, none of which is known as depth",
-            "one called Z, V, Y or R",
-        )
+        what = f"depth map {path} holds the channels {held}, none of which is known as depth"
+        raise InputError(what, "one called Z, V, Y or R")
     renamed = bytearray(data)
     for name, last in ends.items():
         renamed[last - 1] = ord("Y" if name == wanted else "_")
@@ -204,10 +198,9 @@ def open_picture(data: bytes, path: Path, kind: str) -> Any:
         try:
             importlib.import_module("pillow_heif").register_heif_opener()
         except ImportError:
-            raise InputError(
-                f"{kind} {path} is HEIC, which needs the package pillow-heif",
-                "pip install pillow-heif, or save it as JPEG",
-            ) from None
+            text = f"{kind} {path} is HEIC, which needs the package pillow-heif"
+            hint = "pip install pillow-heif, or save it as JPEG"
+            raise InputError(text, hint) from None
     return Image.open(io.BytesIO(data), formats=formats)
 
 

@@ -158,10 +158,8 @@ def _remux(
         source = stack.enter_context(open_video(info.path))
         first = stack.enter_context(av.open(ffmpeg_url(chunks[0])))
         if plan.container in ("mp4", "mov"):
-            options |= {
-                "movflags": "faststart",
-                "movie_timescale": str(_timescale(info, source, plan)),
-            }
+            scale = _timescale(info, source, plan)
+            options |= {"movflags": "faststart", "movie_timescale": str(scale)}
         out = create_container(part, plan.container, container_options=options)
         stack.callback(abandon, out)
         out.metadata.update(_plain_metadata(source.metadata))
@@ -172,9 +170,8 @@ def _remux(
             elif s.index in plan.streams:
                 streams[s.index] = _add_stream(out, s, s, s.time_base)
                 if s.type == "video":
-                    streams[s.index].codec_context.framerate = (
-                        s.average_rate or s.guessed_rate or Fraction(25)
-                    )
+                    rate = s.average_rate or s.guessed_rate or Fraction(25)
+                    streams[s.index].codec_context.framerate = rate
         if start_s is None and end_s is None and source.chapters():
             out.set_chapters(source.chapters())
         video = _video_packets(chunks, pts, info.time_base, shown)

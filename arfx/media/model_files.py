@@ -56,9 +56,8 @@ class ModelFile:
                 f"it has more than {MAX_FACES} faces", "simplify it first"
             )
         if parts > MAX_PARTS:
-            raise InputError(
-                f"it has more than {MAX_PARTS} parts or materials", "join them first"
-            )
+            what = f"it has more than {MAX_PARTS} parts or materials"
+            raise InputError(what, "join them first")
 
     def picture(
         self, name: Any, content: Callable[[], bytes] | None = None
@@ -83,10 +82,8 @@ class ModelFile:
             return None
         width, height = image.size
         if max(width, height) > MAX_TEXTURE_PX:
-            raise InputError(
-                f"a texture is {width}x{height} px",
-                f"at most {MAX_TEXTURE_PX} px a side: scale it down",
-            )
+            hint = f"at most {MAX_TEXTURE_PX} px a side: scale it down"
+            raise InputError(f"a texture is {width}x{height} px", hint)
         self._texels += width * height
         if self._texels > MAX_TEXELS:
             what = f"its textures hold more than {MAX_TEXELS / 1e6:.0f} megapixels"
@@ -95,9 +92,8 @@ class ModelFile:
             with image:
                 # 16-bit greys, which Pillow cuts off at 255
                 if image.mode.startswith("I"):
-                    image = Image.fromarray(
-                        np.clip(np.asarray(image) >> 8, 0, 255).astype(np.uint8)
-                    )
+                    grey = np.clip(np.asarray(image) >> 8, 0, 255)
+                    image = Image.fromarray(grey.astype(np.uint8))
                 return np.asarray(image.convert("RGBA"))
         except (OSError, ValueError, SyntaxError) as e:  # Pillow decodes late
             what = "a texture is damaged or cut short"

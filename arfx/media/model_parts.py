@@ -97,12 +97,9 @@ def part_of(
             rows, faces = {"vertices": rows["vertices"][first]}, number[faces]
         own["normals"] = corner_normals(rows["vertices"], faces)
     if "tangents" in rows:
-        rows["tangents"] = np.column_stack(
-            [
-                normalise(rows["tangents"][:, :3] @ linear.T),
-                side * np.sign(rows["tangents"][:, 3]),
-            ]
-        )
+        along = normalise(rows["tangents"][:, :3] @ linear.T)
+        signs = side * np.sign(rows["tangents"][:, 3])
+        rows["tangents"] = np.column_stack([along, signs])
     part = _indexed(faces, rows, own, material)
     texture = material.normal_texture or material.clearcoat_normal_texture
     uv = None if texture is None else part.uv_on(texture)
@@ -110,13 +107,8 @@ def part_of(
         return replace(part, tangents=None)
     if part.tangents is not None:
         return part
-    return _indexed(
-        faces,
-        rows,
-        own
-        | {"tangents": corner_tangents(part.vertices, part.faces, part.normals, uv)},
-        material,
-    )
+    tangents = corner_tangents(part.vertices, part.faces, part.normals, uv)
+    return _indexed(faces, rows, own | {"tangents": tangents}, material)
 
 
 def _usable(rows: Rows) -> Rows:
@@ -144,11 +136,9 @@ def _indexed(
     corners = faces.ravel()
     first, number = same_rows(np.column_stack([corners, *own.values()]))
     shared = {name: values[corners[first]] for name, values in rows.items()}
-    return Part(
-        faces=number.reshape(-1, 3).astype(np.int32),
-        material=material,
-        **(shared | {name: values[first] for name, values in own.items()}),
-    )
+    split = {name: values[first] for name, values in own.items()}
+    numbers = number.reshape(-1, 3).astype(np.int32)
+    return Part(faces=numbers, material=material, **(shared | split))
 
 
 def plain_material(has_colours: bool, double_sided: bool) -> Material:
@@ -204,10 +194,9 @@ def checked(material: Material) -> Material:
         )
         raise InputError(f"{what} {_BRIGHTEST:g}", "export it again")
     mode = material.alpha_mode.upper()
+    shares = {name: min(max(getattr(material, name), 0.0), 1.0) for name in _UNIT}
     return replace(
-        material,
-        alpha_mode=mode if mode in (MASK, BLEND) else OPAQUE,
-        **{name: min(max(getattr(material, name), 0.0), 1.0) for name in _UNIT},
+        material, alpha_mode=mode if mode in (MASK, BLEND) else OPAQUE, **shares
     )
 
 
@@ -248,15 +237,11 @@ def corner_tangents(
     place = same_rows(np.concatenate([vertices, normals, uv], 1))[1][faces]
     a, b = _shared_edges(place)
     joined = (side[a // 3] * side[b // 3] > 0) & (place.flat[a] != place.flat[b])
-    tangents = _smoothed(
-        place, a[joined], b[joined], p, n, _in_plane(along_u[:, None], n)
-    )
+    directions = _in_plane(along_u[:, None], n)
+    tangents = _smoothed(place, a[joined], b[joined], p, n, directions)
     normal = n.reshape(-1, 3)
-    tangents = np.where(
-        tangents.any(1, keepdims=True),
-        tangents,
-        _in_plane(np.eye(3)[np.abs(normal).argmin(1)], normal),
-    )
+    anyhow = _in_plane(np.eye(3)[np.abs(normal).argmin(1)], normal)
+    tangents = np.where(tangents.any(1, keepdims=True), tangents, anyhow)
     return np.column_stack([tangents, np.repeat(np.where(side == 0, 1.0, side), 3)])
 
 
@@ -285,20 +270,15 @@ def _smoothed(
     from trimesh.graph import connected_component_labels
 
     end = np.roll(np.arange(place.size).reshape(-1, 3), -1, 1).ravel()
-    links = np.stack(
-        [
-            [a, end[a]],
-            np.where(place.flat[a] != place.flat[b], [end[b], b], [b, end[b]]),
-        ],
-        -1,
-    ).reshape(-1, 2)
+    opposite = place.flat[a] != place.flat[b]
+    there = np.where(opposite, [end[b], b], [b, end[b]])
+    links = np.stack([[a, end[a]], there], -1).reshape(-1, 2)
     group = connected_component_labels(links, node_count=place.size)
     # turned by a quarter, in the plane of the normals
     sides = (np.cross(normals, np.roll(p, k, 1) - p) for k in (-1, 1))
     weighted = angle_between(*sides)[..., None] * directions
-    return normalise(
-        np.stack([np.bincount(group, axis) for axis in weighted.reshape(-1, 3).T], 1)
-    )[group]
+    sums = [np.bincount(group, axis) for axis in weighted.reshape(-1, 3).T]
+    return normalise(np.stack(sums, 1))[group]
 
 
 def _in_plane(v: np.ndarray, normal: np.ndarray) -> np.ndarray:

@@ -148,9 +148,8 @@ def _materials(
             found[name] = mtl_material(file, name, described, left_out)
     if missing and not lost:
         names = ", ".join([*missing[:5], "…"][: len(missing)])
-        file.notices.append(
-            f"no MTL file describes {len(missing)} of its materials: {names}"
-        )
+        what = f"no MTL file describes {len(missing)} of its materials: {names}"
+        file.notices.append(what)
     if left_out:
         file.notices.append(f"left out of its materials: {', '.join(left_out)}")
     return found

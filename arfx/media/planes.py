@@ -92,15 +92,11 @@ def working_layout(name: str) -> tuple[PixelLayout, str]:
     known = {
         f.name: f for n in video_formats if (f := layout_named(n)) and not f.alpha
     }
-    best, _ = find_best_pix_fmt_of_list(
-        [n for n, f in known.items() if n == f.plain_name], name
-    )
+    plain = [n for n, f in known.items() if n == f.plain_name]
+    best, _ = find_best_pix_fmt_of_list(plain, name)
     assert best is not None
-    lost = (
-        " (its transparency is left out)"
-        if any(c.is_alpha for c in av.VideoFormat(name, 16, 16).components)
-        else ""
-    )
+    alpha = any(c.is_alpha for c in av.VideoFormat(name, 16, 16).components)
+    lost = " (its transparency is left out)" if alpha else ""
     return known[best.name], f"pixel format {name} is repacked to {best.name}{lost}"
 
 

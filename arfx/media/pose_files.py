@@ -7,7 +7,6 @@ Axes of the camera: x right, y down, z forward."""
 
 from __future__ import annotations
 
-import contextlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,14 +47,8 @@ class CameraPath:
         given = self.camera_from_given
         if self.times_s is None:
             what, held = f"poses {self.path} hold {len(given)} lines", len(given)
-            found = match_in_order(
-                what,
-                held,
-                len(times_s),
-                before,
-                whole,
-                "one line for each frame, or the time in seconds before each pose",
-            )
+            hint = "one line for each frame, or the time in seconds before each pose"
+            found = match_in_order(what, held, len(times_s), before, whole, hint)
             return [None if k is None else (given[k], True) for k in found]
         spacing, usual = spacing_s(times_s), spacing_s(self.times_s)
         if usual > gap_s + spacing:
@@ -83,43 +76,41 @@ class CameraPath:
 
 def load_poses(path: Path) -> CameraPath:
     """Raises InputError: missing, a line that is no pose, times that do not rise."""
-    rows: list[list[float]] = []
-    for number, line in enumerate(read_text(path, "poses").splitlines(), 1):
-        if not (words := line.split("#")[0].replace(",", " ").split()):
-            continue
-        row: list[float] = []
-        with contextlib.suppress(ValueError):
-            row = [float(w) for w in words]
-        rows.append(row)
-        near = all(abs(v) <= _MAX_VALUE for v in row)
-        unit = abs(math.hypot(*row[-4:]) - 1) <= _UNIT_TOLERANCE
-        if not (near and unit and len(row) in (7, 8) and len(row) == len(rows[0])):
-            raise InputError(
-                f"poses {path}, line {number}: {' '.join(words[:9])[:200]!r} is not a pose",
-                "tx ty tz qx qy qz qw, perhaps the time before them",
-            )
-    if not rows:
+    text = read_text(path, "poses")
+    given = [
+        (n, words)
+        for n, line in enumerate(text.splitlines(), 1)
+        if (words := line.split("#")[0].replace(",", " ").split())
+    ]
+    if not given:
         raise InputError(
             f"poses {path} hold no line", "text lines of tx ty tz qx qy qz qw"
         )
-    table = np.array(rows)
-    turned = np.swapaxes(
-        rotation_from_quaternion(
-            np.roll(
-                table[:, -4:] / np.linalg.norm(table[:, -4:], axis=1, keepdims=True),
-                1,
-                1,
-            )
-        ),
-        1,
-        2,
-    )
-    poses = tuple(
-        map(Pose, turned, -np.einsum("nij,nj->ni", turned, table[:, -7:-4]))
-    )
-    if len(rows[0]) == 7:
+    columns = len(given[0][1])
+    for number, words in given:
+        if len(words) != columns or columns not in (7, 8) or not _is_pose(words):
+            what = f"{' '.join(words[:9])[:200]!r} is not a pose"
+            hint = "tx ty tz qx qy qz qw, perhaps the time before them"
+            raise InputError(f"poses {path}, line {number}: {what}", hint)
+    table = np.array([words for _, words in given], float)
+    q = table[:, -4:] / np.linalg.norm(table[:, -4:], axis=1, keepdims=True)
+    turned = np.swapaxes(rotation_from_quaternion(np.roll(q, 1, 1)), 1, 2)
+    moved = -np.einsum("nij,nj->ni", turned, table[:, -7:-4])
+    poses = tuple(map(Pose, turned, moved))
+    if columns == 7:
         return CameraPath(path, poses, None)
     times = table[:, 0] - table[0, 0]
     if (np.diff(times) <= 0).any():
         raise InputError(f"poses {path}: the times do not rise")
     return CameraPath(path, poses, tuple(times.tolist()))
+
+
+def _is_pose(words: list[str]) -> bool:
+    try:
+        values = [float(w) for w in words]
+    except ValueError:
+        return False
+    return (
+        all(abs(v) <= _MAX_VALUE for v in values)
+        and abs(math.hypot(*values[-4:]) - 1) <= _UNIT_TOLERANCE
+    )

@@ -67,20 +67,15 @@ class Samples(NamedTuple):
 
 def decoding_table(transfer: Transfer, bits: int) -> np.ndarray:
     """(n,) float32 linear light of coded values from CODED_LEAST to CODED_MOST, 2^bits to one."""
-    return transfer.decode(
-        np.arange(CODED_LEAST * 2**bits, CODED_MOST * 2**bits + 1) / 2**bits
-    ).astype(np.float32)
+    coded = np.arange(CODED_LEAST * 2**bits, CODED_MOST * 2**bits + 1) / 2**bits
+    return transfer.decode(coded).astype(np.float32)
 
 
 def encoding_table(transfer: Transfer, bits: int) -> np.ndarray:
     """(n,) float32 coded values of linear ones, 2^bits an octave from DARKEST on: each from
     a float's exponent and first bits to the next."""
-    first = (
-        (np.arange((127 + DARKEST) << bits, (127 + BRIGHTEST) << bits) << (23 - bits))
-        .astype(np.uint32)
-        .view(np.float32)
-        .astype(float)
-    )
+    k = np.arange((127 + DARKEST) << bits, (127 + BRIGHTEST) << bits)
+    first = (k << (23 - bits)).astype(np.uint32).view(np.float32).astype(float)
     middle = first * (1 + 2.0 ** -(bits + 2))
     middle[0] = 0
     return transfer.encode(middle).astype(np.float32)

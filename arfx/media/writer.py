@@ -86,13 +86,8 @@ class _Images:
             write_exr(path, linear)
         else:
             kind = np.uint8 if self._plan.pixel_format == "rgb24" else np.uint16
-            write_png(
-                path,
-                np.rint(
-                    np.clip(frame.format.transfer.encode(linear), 0, 1)
-                    * np.iinfo(kind).max
-                ).astype(kind),
-            )
+            coded = np.clip(frame.format.transfer.encode(linear), 0, 1)
+            write_png(path, np.rint(coded * np.iinfo(kind).max).astype(kind))
         self._times.append(f"{frame.index} {frame.time_s:.9f}\n")
 
     def finish(self) -> None:
@@ -110,19 +105,13 @@ class _Video:
         codec = CODECS[plan.codec]
         # no random identifiers: same frames, same bytes
         options = {"fflags": "+bitexact", "avoid_negative_ts": "disabled"}
-        self._container = create_container(
-            path,
-            {".nut": "nut", ".mkv": "matroska"}[codec.chunk],
-            container_options=options,
-        )
+        kind = {".nut": "nut", ".mkv": "matroska"}[codec.chunk]
+        self._container = create_container(path, kind, container_options=options)
         settings = dict(plan.options)
         if info.fields and plan.codec == "h264":
             settings = {"x264-params": f"{info.fields}=1"} | settings
-        s = self._container.add_stream(
-            codec.encoder,
-            rate=Fraction(info.fps or 25).limit_denominator(1001),
-            options=settings,
-        )
+        rate = Fraction(info.fps or 25).limit_denominator(1001)
+        s = self._container.add_stream(codec.encoder, rate=rate, options=settings)
         ctx = s.codec_context
         s.width, s.height = info.coded_width, info.coded_height
         packed = plan.codec == "ffv1" and plan.pixel_format == "gbrp"
@@ -213,9 +202,8 @@ def failures(path: Path, undo: Callable[[], None]) -> Iterator[None]:
     except BaseException as e:
         with contextlib.suppress(OSError):
             undo()
-        if isinstance(
-            e, (av.error.FFmpegError, OSError, ValueError)
-        ) and not isinstance(e, ArfxError):
+        system = isinstance(e, (av.error.FFmpegError, OSError, ValueError))
+        if system and not isinstance(e, ArfxError):
             raise write_failed(path, e) from e
         raise
 

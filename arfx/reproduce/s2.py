@@ -10,7 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from arfx.core.lens import Lens, circle_of_confusion_mm, depth_of_field
-from arfx.measure.plots import INK, RAW, SMOOTH, styled
+from arfx.measure.plots import INK, styled
+from arfx.measure.pose_plot import RAW, SMOOTH
 from arfx.papers.s2_dof import (
     blur_factor,
     eq7_circle,

@@ -27,8 +27,7 @@ from arfx.reproduce.rows import (
 )
 from arfx.reproduce.s4_scenes import LAMP, flat_scene, methods, room
 from arfx.reproduce.work import Clip, Settings, Shot, Work
-from arfx.synth.rays import Rays
-from arfx.synth.tracer import radiance
+from arfx.synth.rays import Rays, radiance
 from arfx.synth.world import World
 
 FOOTPRINT_RAD = 0.03  # of a ray: about what a pixel of the ball mirrors

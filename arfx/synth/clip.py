@@ -141,9 +141,8 @@ def _fill(
                 folder / scene.depth.file,
                 (scene.clip.width, scene.clip.height),
             )
-            maps = files.enter_context(
-                closing(VideoFile(path, scene, "ffv1", size, "gray16le"))
-            )
+            file = VideoFile(path, scene, "ffv1", size, "gray16le")
+            maps = files.enter_context(closing(file))
         for n, time_s in enumerate(world.frame_times_s.tolist()):
             clip.write(expose(scene, picture.radiance(n), n, time_s), time_s)
             frames.append(frame_truth(world, n))
@@ -202,15 +201,10 @@ def frame_truth(world: World, n: int) -> FrameTruth:
         pixels = world.camera.project(points)
         size = world.camera.width, world.camera.height
         inside = ((pixels >= -0.5) & (pixels + 0.5 < size)).all(-1)
-        facing = float(
-            -camera_from_marker.rotation[:, 2]
-            @ normalise(camera_from_marker.translation_m)
-        )
-        depth, _ = surfaces(
-            divide(points[None, :, :2], points[:, 2:]),
-            room,
-            camera_from_room.inverse(),
-        )
+        ahead = normalise(camera_from_marker.translation_m)
+        facing = float(-camera_from_marker.rotation[:, 2] @ ahead)
+        rays = divide(points[None, :, :2], points[:, 2:])
+        depth, _ = surfaces(rays, room, camera_from_room.inverse())
         before = LIFT_M * points[:, 2] / np.linalg.norm(points, axis=1)
         seen = inside & (depth[0] >= points[:, 2] - before) & (facing > 0)
         side = float(np.linalg.norm(corners - np.roll(corners, 1, 0), axis=1).mean())
@@ -248,11 +242,8 @@ def frame_truth(world: World, n: int) -> FrameTruth:
 def stated_camera(scene: SceneFile, camera: Camera) -> Camera:
     """The camera that camera.yaml states."""
     error = 1 + scene.hidden.focal_error_percent / 100
-    return dataclasses.replace(
-        camera,
-        matrix=camera.matrix * [[error, 1, 1], [1, error, 1], [1, 1, 1]],
-        source="synth",
-    )
+    matrix = camera.matrix * [[error, 1, 1], [1, error, 1], [1, 1, 1]]
+    return dataclasses.replace(camera, matrix=matrix, source="synth")
 
 
 def job_toml(scene: SceneFile) -> str:

@@ -57,33 +57,20 @@ class Picture:
         if n == 1 or not (scene.lens.shutter_s or scene.lens.aperture_m):
             light, number = self._sample(frame, 0.0, (0.0, 0.0), chosen, 1.0, seed)
             out, met = light.reshape(out.shape), number.reshape(self.shape)
-            differs = (
-                cv2.morphologyEx(met, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
-                > 0
-            )
+            box = np.ones((3, 3), np.uint8)
+            differs = cv2.morphologyEx(met, cv2.MORPH_GRADIENT, box) > 0
             chosen = ((met == 0) | differs) & (n > 1)
             out[chosen] = 0
         # which moment of the shutter a position gets
         order = np.random.default_rng([scene.seed, 11]).permutation(n * n)
         for k in range(n * n) if chosen.any() else ():
             place = (k % n + 0.5) / n - 0.5, (k // n + 0.5) / n - 0.5
-            light, _ = self._sample(
-                frame,
-                scene.lens.shutter_s * ((order[k] + 0.5) / (n * n) - 0.5),
-                place,
-                chosen,
-                1 / n,
-                seed + k,
-            )
+            late = scene.lens.shutter_s * ((order[k] + 0.5) / (n * n) - 0.5)
+            light, _ = self._sample(frame, late, place, chosen, 1 / n, seed + k)
             out[chosen] += light / n**2
         if (sigma := scene.lens.softness_px) > 0:
-            cv2.GaussianBlur(
-                out,
-                (2 * int(np.ceil(4 * sigma)) + 1,) * 2,
-                sigma,
-                out,
-                borderType=cv2.BORDER_REPLICATE,
-            )
+            size = (2 * int(np.ceil(4 * sigma)) + 1,) * 2
+            cv2.GaussianBlur(out, size, sigma, out, borderType=cv2.BORDER_REPLICATE)
         return out
 
     def _sample(
@@ -156,9 +143,8 @@ class Picture:
         if world.shots[frame] not in world.shots[frame + 1 : frame + 2]:
             return out
         t0, t1 = world.frame_times_s[[frame, frame + 1]].tolist()
-        points = (
-            np.dstack([self.rays(0.0, 0.0), np.ones(depth.shape)]) * depth[..., None]
-        )
+        rays = self.rays(0.0, 0.0)
+        points = np.dstack([rays, np.ones(depth.shape)]) * depth[..., None]
         _, room_from_camera = self._seen(frame)
         next_camera = world.camera_at(frame + 1, t1)
         poses = zip(world.poses(t0), world.poses(t1), strict=True)
@@ -203,10 +189,9 @@ def expose(
     noise = scene.noise
     if noise.read > 0 or noise.shot > 0:
         sigma = np.sqrt(noise.read**2 + noise.shot * np.clip(signal, 0, 1))
+        rng = np.random.default_rng([scene.seed, 101, frame])
         signal = signal + sigma * unit_noise(
-            np.random.default_rng([scene.seed, 101, frame]),
-            signal.shape,
-            scene.hidden.noise_correlation_px,
+            rng, signal.shape, scene.hidden.noise_correlation_px
         )
     return (
         Transfer(scene.hidden.transfer)
@@ -222,9 +207,8 @@ def unit_noise(
     white = rng.standard_normal(shape, np.float32)
     if correlation_px <= 0:
         return white
-    kernel = cv2.getGaussianKernel(
-        2 * max(int(np.ceil(4 * correlation_px)), 1) + 1, correlation_px
-    )
+    side = 2 * max(int(np.ceil(4 * correlation_px)), 1) + 1
+    kernel = cv2.getGaussianKernel(side, correlation_px)
     blurred = cv2.sepFilter2D(
         white, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT
     )

@@ -47,9 +47,8 @@ def _mesh(part: Mapping[str, Any]) -> Any:
         faces = [[0, 3, 1], [1, 3, 2], [4, 5, 7], [5, 6, 7]]
         mesh = Trimesh(part["flag"] * 2, faces, process=False)
         uv = np.array([[0, 1], [1, 1], [1, 0], [0, 0]] * 2, float)
-        colours = np.where(
-            sum(np.indices((96, 128, 1)) // 16) % 2, [235, 235, 235], [20, 110, 40]
-        )
+        light = sum(np.indices((96, 128, 1)) // 16) % 2
+        colours = np.where(light, [235, 235, 235], [20, 110, 40])
         picture = Image.fromarray(colours.astype(np.uint8))
     elif "cushion" in part:
         mesh = creation.icosphere(3)

@@ -104,11 +104,9 @@ def _wood(rng: Generator, shape: Shape, cell: float) -> np.ndarray:
     boards = int(h / board) + 2
     tone = rng.random(boards).astype(np.float32)[number]
     shift = rng.integers(0, w, boards)[number]
+    along = (np.arange(w) - shift[:, None]) % w
     grain = (
-        np.take_along_axis(
-            0.55 * wave + 0.25 * fine, (np.arange(w) - shift[:, None]) % w, 1
-        )
-        + 0.3 * tone[:, None]
+        np.take_along_axis(0.55 * wave + 0.25 * fine, along, 1) + 0.3 * tone[:, None]
     )
     grain[1:][np.diff(number) > 0] *= 0.35
     grain[np.arange(h), shift] *= 0.4
@@ -157,9 +155,8 @@ def sheet_albedo(
     ink = np.linspace(
         marker.ink, marker.ink if right_ink is None else right_ink, len(white)
     )
-    return np.where(white, marker.paper, ink)[..., None], marker.spec.size_m * len(
-        white
-    ) / len(big)
+    side_m = marker.spec.size_m * len(white) / len(big)
+    return np.where(white, marker.paper, ink)[..., None], side_m
 
 
 def environment_picture(source: str | Path, folder: Path | None = None) -> np.ndarray:
@@ -176,9 +173,8 @@ def environment_picture(source: str | Path, folder: Path | None = None) -> np.nd
             made[aside > np.cos(np.radians(lamp["radius_deg"]))] = lamp["rgb"]
         return made
     path = (folder or Path()) / source
-    rgb = decode_picture(path, "image", cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)[
-        ..., ::-1
-    ].astype(float)
+    picture = decode_picture(path, "image", cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+    rgb = picture[..., ::-1].astype(float)
     if not np.isfinite(rgb).all() or rgb.min() < 0:
         raise InputError(
             f"environment {path} holds values that are not finite and >= 0"
@@ -188,11 +184,9 @@ def environment_picture(source: str | Path, folder: Path | None = None) -> np.nd
 
 def _directions(h: int, w: int) -> tuple[np.ndarray, np.ndarray]:
     """Unit vectors (h, w, 3) of a panorama's pixels, and the solid angles (h, w) of these."""
-    e, a = np.meshgrid(
-        np.pi * (0.5 - (np.arange(h) + 0.5) / h),
-        2 * np.pi * (0.5 - (np.arange(w) + 0.5) / w),
-        indexing="ij",
-    )
+    elevation = np.pi * (0.5 - (np.arange(h) + 0.5) / h)
+    azimuth = 2 * np.pi * (0.5 - (np.arange(w) + 0.5) / w)
+    e, a = np.meshgrid(elevation, azimuth, indexing="ij")
     return direction_of(a, e), np.cos(e) * (np.pi / h) * (2 * np.pi / w)
 
 
@@ -205,9 +199,9 @@ def environment_lights(picture: np.ndarray, count: int) -> np.ndarray:
     power = picture.mean(-1) * solid
     # of each pixel: direction by power, light, power, row
     light = picture * solid[..., None] / np.pi
-    regions = [
-        np.dstack([towards * power[..., None], light, power, np.indices((h, w))[0]])
-    ]
+    row = np.indices((h, w))[0]
+    pixels = np.dstack([towards * power[..., None], light, power, row])
+    regions = [pixels]
     while len(regions) < count:
         sizes = [r[..., 6].sum() if r[..., 6].size > 1 else -1.0 for r in regions]
         pick = int(np.argmax(sizes))
@@ -215,24 +209,11 @@ def environment_lights(picture: np.ndarray, count: int) -> np.ndarray:
             break
         region = regions.pop(pick)
         rows, columns, _ = region.shape
-        axis = (
-            0
-            if columns == 1
-            or rows
-            > columns
-            * 2
-            * h
-            / w
-            * np.cos(np.pi * (0.5 - (region[0, 0, 7] + rows / 2) / h))
-            else 1
-        )
+        middle = np.cos(np.pi * (0.5 - (region[0, 0, 7] + rows / 2) / h))
+        axis = 0 if columns == 1 or rows > columns * 2 * h / w * middle else 1
         sums = region[..., 6].sum(1 - axis).cumsum()
-        regions += np.split(
-            region,
-            [int(np.clip(np.searchsorted(sums, sums[-1] / 2) + 1, 1, len(sums) - 1))],
-            axis,
-        )
+        cut = np.clip(np.searchsorted(sums, sums[-1] / 2) + 1, 1, len(sums) - 1)
+        regions += np.split(region, [int(cut)], axis)
     totals = [r.sum((0, 1)) for r in regions]
-    return np.array(
-        [[*normalise(t[:3]), *t[3:6], 0.0] for t in totals if t[:3].any()], float
-    ).reshape(-1, 7)
+    lights = [[*normalise(t[:3]), *t[3:6], 0.0] for t in totals if t[:3].any()]
+    return np.array(lights, float).reshape(-1, 7)

@@ -78,16 +78,11 @@ class Truth:
 
 
 def write_truth(path: Path, truth: Truth) -> None:
-    path.write_text(
-        "\n".join(
-            [
-                json.dumps(truth.header),
-                *(json.dumps(f.to_json()) for f in truth.frames),
-            ]
-        )
-        + "\n",
-        encoding="utf-8",
-    )
+    lines = [
+        json.dumps(truth.header),
+        *(json.dumps(f.to_json()) for f in truth.frames),
+    ]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def read_truth(path: Path) -> Truth:

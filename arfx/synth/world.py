@@ -71,22 +71,13 @@ class World:
             return self.room.lights
         rows = []
         for li in self.scene.light.lamps:
-            angles = np.radians(
-                np.add(
-                    np.sin(2 * np.pi * time_s / li.period_s) * np.array(li.swing_deg),
-                    (li.azimuth_deg, li.elevation_deg),
-                )
-            )
+            swing = np.sin(2 * np.pi * time_s / li.period_s) * np.array(li.swing_deg)
+            angles = np.radians(np.add(swing, (li.azimuth_deg, li.elevation_deg)))
             # of two keys at one time the later holds from then on
             keys = np.array(li.brightness or [(0.0, 1.0)])
             rgb = np.interp(time_s, *keys.T) * np.array(li.rgb)
-            rows.append(
-                [
-                    *direction_of(*angles),
-                    *rgb,
-                    np.tan(np.radians(li.angular_size_deg) / 2),
-                ]
-            )
+            disc = np.tan(np.radians(li.angular_size_deg) / 2)
+            rows.append([*direction_of(*angles), *rgb, disc])
         return np.array(rows).reshape(-1, 7)
 
     def poses(self, time_s: float) -> tuple[Pose, ...]:
@@ -278,16 +269,15 @@ def room_from_object(
     if motion.kind == "still":
         return pose
     if motion.kind == "keys":
-        pose = Pose(
-            rotation_from_euler_deg(*_between(motion.keys, "rotate_deg", time_s)),
-            _between(motion.keys, "position_m", time_s),
+        rotation = rotation_from_euler_deg(
+            *_between(motion.keys, "rotate_deg", time_s)
         )
+        pose = Pose(rotation, _between(motion.keys, "position_m", time_s))
     elif motion.kind == "turn":
         share = _share(time_s, duration_s)
         angle = np.radians(motion.angle_deg) @ (1 - share, share)
-        pose = pose @ Pose.from_rotvec(
-            normalise(np.asarray(motion.axis, float)) * angle, np.zeros(3)
-        )
+        axis = normalise(np.asarray(motion.axis, float))
+        pose = pose @ Pose.from_rotvec(axis * angle, np.zeros(3))
     else:
         a = 2 * np.pi * time_s / motion.period_s
         golden = (

@@ -16,8 +16,10 @@ SHARED_PX2 = 9 / 4
 LEAST_STEP_PX = 1.25  # between samples: nearer ones tell next to nothing more
 BLURS = 2.5  # margin in standard deviations of the blur
 MOST_SAMPLES = 5  # per cell and axis
+_HALF = np.float32(0.5)
 CLIP_LOW, CLIP_HIGH = 1.5e-4, 0.9955  # half an 8-bit step inside either end, sRGB
-_WITHIN = np.nextafter(np.float32([[CLIP_LOW] * 3, [CLIP_HIGH] * 3]), np.float32(0.5))
+# the least and the greatest of what is not clipped, by channel
+_WITHIN = np.nextafter(np.array([[CLIP_LOW] * 3, [CLIP_HIGH] * 3], np.float32), _HALF)
 FARTHEST_PX = 3e4  # that remap reads: 16-bit numbers
 _UNIT = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
 
@@ -69,13 +71,13 @@ def sample_cells(
         linear, x, y, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, (np.nan,) * 3
     )
     within = cv2.inRange(linear, *_WITHIN)
-    clipped = cv2.remap((within == 0).astype(np.float32), x, y, cv2.INTER_LINEAR)
+    cut = cv2.remap((within == 0).astype(np.float32), x, y, cv2.INTER_LINEAR)
     value, clipped = (
         a.reshape(n, k, n, k, -1).transpose(0, 2, 1, 3, 4).reshape(n, n, k * k, -1)
-        for a in (seen, clipped > 0)
+        for a in (seen, cut)
     )
     per_sample = inner**2 * wide_px * cell_px / k**2  # px^2
     nearest = (margin + inner * 0.5 / k) * cell_px
     leak = math.erfc(nearest / blur_px / math.sqrt(2)) if blur_px > 0 else 0.0
     shared = max(1.0, SHARED_PX2 / max(per_sample, 1e-6))
-    return CellSamples(value.astype(float), place, clipped[..., 0], shared, leak)
+    return CellSamples(value.astype(float), place, clipped[..., 0] > 0, shared, leak)
