@@ -36,11 +36,9 @@ _HALF_CELLS, _MOST_HALF_PX = (
     24.0,
 )  # what is looked at: the rim and the margin are a cell wide
 _WINDOWS = 4.0  # to each side of an edge, by standard deviations of its blur
-_LARGEST = (
-    0.22  # of the half width: a disc beyond it is measured too small, by 5 % there
-)
+_LARGEST = 0.25  # of the half width: a disc beyond it is measured too large
 _FAINT = 20.0  # light (of 255) across an edge
-_ROUNDS = 3
+_ROUNDS = 2
 MOST_MOTION_PX = 3.0  # across a side from frame to frame
 _SIGMA_PX, _SIGMA_FRACTION = (
     0.06,

@@ -283,17 +283,11 @@ def _join(planes: list[ScenePlane], new: ScenePlane) -> None:
         gap = max(abs(apart @ old.normal), abs(apart @ new.normal))
         if old.normal @ new.normal > np.cos(np.radians(SAME_DEG)) and gap < near:
             share = len(old.points) / (len(old.points) + len(new.points))
+            normal = normalise(share * old.normal + (1 - share) * new.normal)
             pairs = zip(old[1:4], new[1:4], strict=True)
             points, spacing_m, cut = map(np.concatenate, pairs)
-            planes[k] = ScenePlane(
-                normalise(share * old.normal + (1 - share) * new.normal),
-                points,
-                spacing_m,
-                cut,
-                old.right,
-                share * old.noise_m + (1 - share) * new.noise_m,
-                old.frames + new.frames,
-            )
+            old = old._replace(normal=normal, points=points, spacing_m=spacing_m)
+            planes[k] = old._replace(cut=cut, frames=old.frames + 1)
             return
     planes.append(new)
 

@@ -132,23 +132,22 @@ def profiles(
     corners: np.ndarray,
     off_chord: np.ndarray,
     far: np.ndarray,
-    steps: int = STEPS,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(n, 4, SAMPLES, steps - 1) how much darker it gets from sample to sample, inwards; and
+    """(n, 4, SAMPLES, STEPS - 1) how much darker it gets from sample to sample, inwards; and
     where, px from the chord.
 
     corners (n, 4), off_chord (n, 4, SAMPLES) : px;  far (n, 4) : px to either side"""
     chord = corners[:, _NEXT] - corners
     inwards = (1j * chord / np.abs(chord)).astype(np.complex64)[..., None, None]
     foot = corners[..., None] + FRACTIONS * chord[..., None] + off_chord
-    along = (far[..., None] * np.linspace(-1, 1, steps)).astype(np.float32)[
+    along = (far[..., None] * np.linspace(-1, 1, STEPS)).astype(np.float32)[
         :, :, None
     ]
     wanted = foot.astype(np.complex64)[..., None] + along * inwards
     exact = np.round(wanted * _REMAP_STEPS) / _REMAP_STEPS
     along = along + ((exact - wanted) * inwards.conj()).real
     exact[~np.isfinite(exact)] = 0  # of a quad of which nothing will come
-    quads = exact.reshape(len(corners), 4 * SAMPLES, steps)
+    quads = exact.reshape(len(corners), 4 * SAMPLES, STEPS)
     light = np.reshape([sampled(luma, table, at) for at in quads], along.shape)
     return light[..., :-1] - light[..., 1:], (along[..., :-1] + along[..., 1:]) / 2
 

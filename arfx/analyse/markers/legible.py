@@ -1,19 +1,25 @@
 """How plainly a decoded marker can be read: whether it is a print of that code, or texture
-that happened to be taken for one.
+that happened to be taken for one; and what markers of all families are in a clip in which the
+configured ones are not seen, for the message that says so.
 
 OpenCV's detector corrects wrong bits and asks for no white around the print, so that codes
 of few bits turn up everywhere."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import cv2
 import numpy as np
 
-from arfx.analyse.markers.detect import Candidate
+from arfx.analyse.markers.detect import SCANNED_FAMILIES, Candidate, MarkerDetector
 from arfx.core.marker import FAMILIES, smallest_family
 from arfx.core.marker_codes import cells_per_side, marker_cells
 from arfx.core.numerics import divide
 
+# Numbers of the frames that are searched: all of a photo, few of a long clip.
+SCANS = (0, 1, 2, *(6 << k for k in range(9)))
+MIN_SIDE_PX = 14.0  # smaller squares of weak dictionaries are found in any texture
 SAMPLES = 4  # a side of a cell; those at its border are mixed with its neighbour
 CLEAN = (
     0.95  # share of the cells around that are paper, and of the border's that are ink
@@ -65,3 +71,19 @@ def legible(luma: np.ndarray, seen: Candidate) -> tuple[bool, bool]:
     chance = 4 * codes * float(bdtr(wrong, code.size, 0.5))
     sure = bool(clean and bits.min() >= MARGIN) or chance <= SURE
     return sure or wrong == 0 or chance <= HOLDS, sure
+
+
+def scan(luma: np.ndarray) -> set[str]:
+    """Keys of the plain markers of all families in a picture (h, w) uint8."""
+    seen = MarkerDetector(SCANNED_FAMILIES, MIN_SIDE_PX, inverted=False).search(luma)
+    return {c.key for c in seen if legible(luma, c)[1]}
+
+
+def likeliest(counts: Mapping[str, int]) -> list[str]:
+    """Keys seen, and how often: most often seen first; among equals the families that are
+    hardest to misread first.
+    """
+    return sorted(
+        counts,
+        key=lambda k: (-counts[k], SCANNED_FAMILIES.index(k.rsplit(":", 1)[0]), k),
+    )

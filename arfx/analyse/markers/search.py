@@ -20,9 +20,9 @@ from arfx.analyse.markers.corners import (
     symmetric_in_light,
 )
 from arfx.analyse.markers.detect import Candidate, Detection, Record
+from arfx.analyse.markers.legible import SCANS, likeliest, scan
 from arfx.analyse.markers.pattern import PatternPicture, coded_luma
 from arfx.analyse.markers.pictured import PicturedPrints
-from arfx.analyse.markers.scan import SCANS, likeliest, scan
 from arfx.analyse.markers.tracker import Tracker
 from arfx.analyse.pose.shots import thumbnail
 from arfx.core.camera import Camera

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 DIM = 12
+_UPPER = np.triu(np.ones((DIM, 2 * DIM)))
 # What is known before the first frame: nothing. Standard deviations of 10 (radians, or
 # e-folds of distance) and of 100 per second lie beyond anything filmed.
 _START = np.diag([1e-2] * 6 + [1e-4] * 6)
@@ -96,21 +97,21 @@ def smooth_chain(chain: Chain, density: np.ndarray) -> Smoothed:
     firm = chain.firm[:, :, None, :, None] * firm[:, None, :, None]
     firm = firm.reshape(-1, DIM, DIM)
     held = firm @ chain.links
-    linked = np.swapaxes(chain.links, 1, 2) @ held
-    rows = np.zeros((n, DIM, 2 * DIM))
+    before, after = np.split(np.swapaxes(chain.links, 1, 2), 2, axis=1)
+    # a column of the band begins at its diagonal: 24 numbers farther than the one before
+    # it, for rows of 25
+    band = np.zeros((n, DIM, 2 * DIM + 1))
+    rows = band.reshape(n, -1)[:, : 2 * DIM**2].reshape(n, DIM, 2 * DIM)
     rows[:, :6, :6] = chain.information
     rows[0, :, :DIM] += _START
-    rows[:-1] += linked[:, :DIM]
-    rows[1:, :, :DIM] += linked[:, DIM:, DIM:]
+    rows[:-1] += before @ held
+    rows[1:, :, :DIM] += after @ held[..., DIM:]
+    rows *= _UPPER
     right = np.zeros((n, DIM))
     right[:, :6] = chain.pull
     push = (chain.offset[:, None] @ held)[:, 0]
     right[:-1] -= push[:, :DIM]
     right[1:] -= push[:, DIM:]
-    # a column of the band begins at its diagonal: 24 numbers farther than the one before
-    # it, for rows of 25
-    band = np.zeros((n, DIM, 2 * DIM + 1))
-    band.reshape(n, -1)[:, : 2 * DIM**2] = np.triu(rows).reshape(n, -1)
     lower = band.reshape(-1, 2 * DIM + 1).T
     try:
         factor = cholesky_banded(

@@ -30,7 +30,7 @@ from arfx.core.pose import Pose
 # frames that the adjustment uses, evenly spread over those with two or more markers
 MAX_FRAMES = 200
 _FEW = 10  # frames of a marker that none of these shows
-_VOTERS, _JUDGES = 40, 60
+_VOTERS = 40  # frames of a pair, which judge each other's votes
 
 
 class Prints(NamedTuple):
@@ -135,21 +135,21 @@ def _relative_pose(prints: Prints, pairs: np.ndarray) -> tuple[float, Pose]:
     together is preferred."""
     if not len(pairs):
         return np.inf, Pose.identity()
-    a, b = map(prints.poses.take, _evenly(pairs, _VOTERS).T)
+    rows = _evenly(pairs, _VOTERS)
+    a, b = map(prints.poses.take, rows.T)
     apart = b.translation[:, None] - a.translation[:, :, None]
     known = a.known[:, :, None] & b.known[:, None]
     a_from_camera = np.swapaxes(a.rotation, -1, -2)[:, :, None]
     turn = (a_from_camera @ b.rotation[:, None])[known]
     shift = (a_from_camera @ apart[..., None])[known][..., 0]
     # every solution of a, in every frame, with every candidate
-    judges = _evenly(pairs, _JUDGES)
-    a, seen = prints.poses.take(judges[:, 0]), prints.seen.take(judges[:, 1])
+    seen = prints.seen.take(rows[:, 1])
     turned = a.rotation[:, :, None] @ turn
     moved = np.einsum("nsij,kj->nski", a.rotation, shift) + a.translation[:, :, None]
-    seen = seen.take(np.repeat(np.arange(len(judges)), 2 * len(turn)))
+    seen = seen.take(np.repeat(np.arange(len(rows)), 2 * len(turn)))
     off = residuals(turned.reshape(-1, 3, 3), moved.reshape(-1, 3), seen)
     missed = rms_px(off, seen.weight)
-    missed = missed.reshape(len(judges), 2, len(turn))
+    missed = missed.reshape(len(rows), 2, len(turn))
     missed[~a.known] = np.inf
     typical = np.median(missed.min(1), axis=0)
     best = int(typical.argmin())

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from arfx.analyse.markers.corners import shared_px
-from arfx.analyse.markers.detect import Record
+from arfx.analyse.markers.detect import Detection, Record, sides
 from arfx.analyse.markers.inner_edges import AGREE_CELLS
 from arfx.analyse.pose.marker_map import Prints
 from arfx.analyse.pose.planar import Observed, lens_scale, planar_poses, residuals
+from arfx.analyse.tables import by_columns
 from arfx.core.camera import Camera
 from arfx.core.facts import MarkerSighting
 from arfx.core.marker import Marker, MarkerSpec
@@ -39,15 +40,15 @@ class Sightings:
 
         spec = {m.key: m for m in markers}
         number = {key: k for k, key in enumerate(spec)}
-        seen = [(k, s) for k, r in enumerate(records) for s in r.detections]
-        frame = np.array([k for k, _ in seen], int)
-        corners, misplaced, blur, sigma = (
-            np.array([getattr(s, name) for _, s in seen], float)
-            for name in ("corners_px", "misplaced_px", "blur_px", "sigma_px")
+        seen = [s for r in records for s in r.detections]
+        frame = np.repeat(
+            np.arange(len(records)), [len(r.detections) for r in records]
         )
-        corners = corners.reshape(-1, 4, 2)
-        sigma = np.hypot(sigma, misplaced)
-        kinds = [spec[s.key] for _, s in seen]
+        columns = by_columns(seen, Detection)
+        corners = columns["corners_px"].reshape(-1, 4, 2)
+        blur, misplaced = columns["blur_px"], columns["misplaced_px"]
+        sigma = np.hypot(columns["sigma_px"], misplaced)
+        kinds = [spec[s.key] for s in seen]
         cells = np.array(
             [
                 cells_per_side(m.family) if isinstance(m, MarkerSpec) else 1
@@ -63,7 +64,7 @@ class Sightings:
         known = poses.known[:, 0]
         sure = known & (sigma < 1.0)
         every = Observed(points, ideal, scale, np.ones((len(seen), 4)))
-        marker = np.array([number[s.key] for _, s in seen], int)
+        marker = np.array([number[s.key] for s in seen], int)
         best = poses.rotation[sure, 0], poses.translation[sure, 0]
         self.sigma_factor = _sigma_factor(
             residuals(*best, every.take(sure)), sigma[sure], frame[sure], marker[sure]
@@ -72,7 +73,7 @@ class Sightings:
         every = every._replace(weight=np.repeat(px[:, None] ** -2.0, 4, 1))
         self.common_px = np.full(len(records), _COMMON_PX)
         np.maximum.at(self.common_px, frame, shared)
-        untold = AGREE_CELLS * np.array([s.side_px for _, s in seen]) / cells
+        untold = AGREE_CELLS * sides(corners).mean(1) / cells
         # of the corners' weights; with the square of misplaced_px, of what is not told
         whole, off, hidden = (
             np.bincount(frame, w / px**2, len(records))
@@ -89,8 +90,8 @@ class Sightings:
         first, second = poses.error_px.T
         ratio = divide(second, first, where_zero=np.inf)
         self.facts: list[list[MarkerSighting]] = [[] for _ in records]
-        for (k, s), sigma_px, ambiguity in zip(
-            seen, px.tolist(), ratio.tolist(), strict=True
+        for k, s, sigma_px, ambiguity in zip(
+            frame, seen, px.tolist(), ratio.tolist(), strict=True
         ):
             self.facts[k].append(
                 MarkerSighting(s.key, s.corners_px, sigma_px, ambiguity, s.inverted)

@@ -43,7 +43,7 @@ _WINDOW, _CONTEXT = 24, 18  # frames
 # frames of a long shot that are smoothed at once, and beside them; what lies farther off
 # counts for what hardly moves, and there by less than its noise. About so many on each side
 # of the border fade from one piece to the next.
-_PIECE, _BESIDE, _FADE = 2000, 300, 150
+_PIECE, _BESIDE, _FADE = 1200, 200, 100
 # A window has little evidence on its own: each factor of ten away from the shot's value
 # costs this much (nats).
 _HOLD = 1.0
@@ -217,23 +217,24 @@ def _smooth_piece(
     on = seen.weight > 0
     centre = seen.points_m[on].mean(0)
     dt = np.clip(np.diff(times_s), SHORTEST_STEP_S, LONGEST_STEP_S)
-    raw = _Path(rotation, translation, seen, dt, centre)
+    paths, attempts = [_Path(rotation, translation, seen, dt, centre)], []
     # Twice: from the raw poses, and from a path that hardly moves. Where the corners do not
     # fix a tilt (a frontal
     # marker) raw poses lie in the wrong valleys, each sure of itself, and only the stiff
     # path finds the one between.
-    starts, attempts = [raw], []
-    if raw.typical_turn_error() > _UNSURE_RAD:
-        starts.append(raw.iterated(_STIFF, 2 * PASSES))
-    for path in starts:
+    if paths[0].typical_turn_error() > _UNSURE_RAD:
+        paths.append(paths[0].iterated(_STIFF, 2 * PASSES))
+    while paths:
+        path = paths.pop()
         shot = _density_of_shot(path.chain)
         path = path.iterated(shot[GROUP], PASSES)
         density = _density_over_time(path.chain, shot)
         path = path.iterated(density, PASSES)
-        attempts.append((path.likelihood(density), path, density))
-    _, path, density = max(attempts, key=lambda a: a[0])
+        likelihood = path.likelihood(density)
+        attempts.append((likelihood, path.rotation, path.translation, density))
+    _, rotation, translation, density = max(attempts, key=lambda a: a[0])
     density = np.clip(density / max(strength**3, 1e-200), LEAST, MOST)
-    path = path.iterated(density, PASSES)
+    path = _Path(rotation, translation, seen, dt, centre).iterated(density, PASSES)
     covariance = covariances(smooth_chain(path.chain, density).factor)
     to_left = _to_left(_position(path.rotation, path.translation, centre)[0])
     covariance = to_left @ covariance[:, :6, :6] @ np.swapaxes(to_left, 1, 2)
