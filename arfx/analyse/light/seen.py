@@ -22,14 +22,14 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
-from arfx.analyse.light.surroundings import from_panorama, turned
+from arfx.analyse.light.surroundings import PANORAMA_PX, from_panorama, turned
 from arfx.core.camera import Camera
-from arfx.core.cube import SeenEnvironment, face_directions, resampled
+from arfx.core.cube import CubeMap, SeenEnvironment, face_directions, resampled
 from arfx.core.facts import FrameFacts
 from arfx.core.numerics import divide, smoothstep
 
@@ -70,12 +70,10 @@ LAMP = (0.75, 0.95)  # linear light from which they are partly and wholly
 
 
 class Snapshot(NamedTuple):
-    """A small picture of one frame. picture : (h, w, 3) float16 or float32, linear
-    darkest : (3,) linear light of the frame's darkest hundredth"""
+    """A small picture of one frame. picture : (h, w, 3) float16 or float32, linear"""
 
     frame: int
     picture: np.ndarray
-    darkest: np.ndarray
 
 
 Seen = tuple[
@@ -138,22 +136,24 @@ def with_seen(
 def given_everywhere(
     facts: Sequence[FrameFacts], panorama: np.ndarray, world_from_anchor: np.ndarray
 ) -> Seen:
-    """The same of a picture of all surroundings, as surroundings.from_panorama takes it.
+    """The same, and `environment`, of a picture of all surroundings, as
+    surroundings.from_panorama takes it.
 
     world_from_anchor : (3, 3)
     """
-    faces = turned(from_panorama(panorama, FACE_PX), np.asarray(world_from_anchor).T)
+    small, faces = (
+        turned(from_panorama(panorama, size), np.asarray(world_from_anchor).T)
+        for size in (PANORAMA_PX, FACE_PX)
+    )
     faces = np.clip(divide(faces, faces.mean()), 0, 6e4)  # its scale means nothing
     maps: dict[str, np.ndarray] = {}
     name = _named(np.concatenate([faces, np.ones_like(faces[..., :1])], -1), maps)
-    seen = SeenEnvironment((name, name), 0.0)
-    return (
-        tuple(
-            f if f.camera_from_world is None else f.with_(seen_environment=seen)
-            for f in facts
-        ),
-        maps,
-    )
+    given: dict[str, Any] = {
+        "environment": CubeMap.of(small),
+        "seen_environment": SeenEnvironment((name, name), 0.0),
+    }
+    posed = (f if f.camera_from_world is None else f.with_(**given) for f in facts)
+    return tuple(posed), maps
 
 
 def _named(rgba: np.ndarray, maps: dict[str, np.ndarray]) -> str:
@@ -167,7 +167,7 @@ def _named(rgba: np.ndarray, maps: dict[str, np.ndarray]) -> str:
 class _Posed:
     """A snapshot in the axes at rest. camera_from_static : rotation (3, 3);  centre_m : the
     anchor, camera axes
-    picture : (h, w, 3) float32, without the camera's bias, over `level` (3,);  lamps :
+    picture : (h, w, 3) float32, without the camera's bias, over `level` (3,);  lamps : (3, n)
     directions, axes at rest
     """
 
@@ -177,7 +177,7 @@ class _Posed:
     camera: Camera
     camera_from_static: np.ndarray
     centre_m: np.ndarray
-    lamps: tuple[np.ndarray, ...]
+    lamps: np.ndarray
 
     @staticmethod
     def of(
@@ -203,7 +203,7 @@ class _Posed:
             camera,
             rotation,
             pose.apply(centre_m),
-            tuple(static @ li.unit for li in light.lights),
+            np.reshape([static @ li.unit for li in light.lights], (-1, 3)).T,
         )
 
     def seen(
@@ -224,14 +224,11 @@ class _Posed:
         border = cv2.BORDER_REPLICATE
         found = cv2.remap(self.picture, x, y, cv2.INTER_LINEAR, borderMode=border)
         rgb, weight = found.reshape(-1, 3), smoothstep(inside)
-        for lamp in self.lamps:
-            bright = smoothstep(
-                ((rgb * self.level).max(1) - LAMP[0]) / (LAMP[1] - LAMP[0])
-            )
-            weight = weight * (
-                1 - bright * (directions @ lamp > np.cos(np.radians(LAMP_DEG)))
-            )
-        return rgb, weight
+        bright = smoothstep(
+            ((rgb * self.level).max(1) - LAMP[0]) / (LAMP[1] - LAMP[0])
+        )
+        lamp = (directions @ self.lamps > np.cos(np.radians(LAMP_DEG))).any(1)
+        return rgb, weight * (1 - bright * lamp)
 
 
 def _inverse_radius(snapshots: Sequence[_Posed], up: np.ndarray) -> float:
