@@ -130,9 +130,7 @@ def test_paths_run_from_their_start_to_their_end_and_through_their_keys() -> Non
 
 
 def test_tremor_has_the_stated_rms_and_is_smooth() -> None:
-    values = np.array(
-        [smooth_noise(4, "x", t, 4.0) for t in np.arange(0, 60, 0.01)]
-    )
+    values = np.array([smooth_noise(4, "x", t, 4.0) for t in np.arange(0, 60, 0.01)])
     assert np.sqrt((values**2).mean()) == pytest.approx(1, abs=0.1)
     assert np.abs(
         np.diff(values, axis=0)
