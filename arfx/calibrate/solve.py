@@ -161,22 +161,14 @@ def fit(views: Sequence[View], model: LensModel) -> Fit:
         ) from None
     residuals, derivatives = [], []
     for view, rvec, tvec in zip(views, rotations, translations, strict=True):
-        residual, jacobian = _residual(view, rvec, tvec, camera)
-        residuals.append(residual)
+        predicted, jacobian = cv2.projectPoints(
+            view.board_m, rvec, tvec, camera.matrix, camera.distortion
+        )
+        residuals.append(view.pixels - predicted[:, 0])
         own = model.by_parameters(jacobian)
         derivatives.append(without_pose(own, jacobian[:, :6]))
     turns = np.reshape(rotations, (-1, 3))
     return Fit(model, camera, tuple(views), turns, residuals, derivatives)
-
-
-def _residual(
-    view: View, rvec: np.ndarray, tvec: np.ndarray, camera: Camera
-) -> tuple[np.ndarray, np.ndarray]:
-    """(n, 2) px found minus predicted; (2n, …) derivatives of the predicted."""
-    predicted, jacobian = cv2.projectPoints(
-        view.board_m, rvec, tvec, camera.matrix, camera.distortion
-    )
-    return view.pixels - predicted[:, 0], jacobian
 
 
 def pose_residual(view: View, camera: Camera) -> np.ndarray:
@@ -191,7 +183,10 @@ def pose_residual(view: View, camera: Camera) -> np.ndarray:
         ok = False
     if not ok:
         return np.full(view.pixels.shape, np.inf)
-    out, _ = _residual(view, rvec, tvec, camera)
+    predicted, _ = cv2.projectPoints(
+        view.board_m, rvec, tvec, camera.matrix, camera.distortion
+    )
+    out = view.pixels - predicted[:, 0]
     return np.where(np.isfinite(out), out, np.inf)
 
 

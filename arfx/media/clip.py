@@ -37,6 +37,7 @@ PHOTO = "photo"  # container of one picture
 MAX_PIXEL_ASPECT = 10.0  # anamorphic video reaches 2
 # from this field order on a clip is interlaced; the odd ones show the bottom field first
 _FIELDS = 2
+_COVER = av.stream.Disposition.attached_pic
 _MIDDLE_SITED = ("mjpeg", "mpeg1video", "jpeg2000")
 
 
@@ -132,7 +133,8 @@ class ClipInfo(Document):
         1 also where the file states what no lens or screen has.
         """
         stated = self.sample_aspect or Fraction(1)
-        aspect = float(stated) if _plausible(stated) else 1.0
+        plausible = 1 / MAX_PIXEL_ASPECT <= stated <= MAX_PIXEL_ASPECT
+        aspect = float(stated) if plausible else 1.0
         return 1 / aspect if self.orientation.transpose else aspect
 
     @property
@@ -167,14 +169,6 @@ def ffmpeg_command(path: Path, filters: str, ending: str) -> str:
     )
 
 
-def _plausible(aspect: Fraction) -> bool:
-    return 1 / MAX_PIXEL_ASPECT <= aspect <= MAX_PIXEL_ASPECT
-
-
-def _is_cover(stream: Any) -> bool:
-    return bool(stream.disposition & av.stream.Disposition.attached_pic)
-
-
 def _describe(stream: Any, used: bool) -> StreamInfo:
     context = stream.codec_context
     named = stream.metadata.get("handler_name", "?")
@@ -184,7 +178,7 @@ def _describe(stream: Any, used: bool) -> StreamInfo:
         str(named) if context is None else context.name,
         stream.metadata.get("language", ""),
         used,
-        stream.type == "video" and _is_cover(stream),
+        stream.type == "video" and bool(stream.disposition & _COVER),
         stream.type == "audio" and not (context and context.sample_rate > 0),
     )
 
@@ -197,7 +191,9 @@ def probe(path: Path | str, transfer: Transfer = SRGB) -> ClipInfo:
     """
     path = Path(path)
     with open_video(path) as container:
-        stream = next((s for s in container.streams.video if not _is_cover(s)), None)
+        stream = next(
+            (s for s in container.streams.video if not s.disposition & _COVER), None
+        )
         if stream is None:
             held = ", ".join(sorted({s.type for s in container.streams})) or "nothing"
             raise InputError(
@@ -280,7 +276,7 @@ def _info(
     sample = Fraction(stream.sample_aspect_ratio or 1)
     if sample != 1:
         used = "which is not plausible and not used"
-        if _plausible(sample):
+        if 1 / MAX_PIXEL_ASPECT <= sample <= MAX_PIXEL_ASPECT:
             used = f"displayed as {round(first.width * sample)}x{first.height}"
         stored = f"stored as {first.width}x{first.height}"
         notices.append(

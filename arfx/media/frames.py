@@ -164,14 +164,11 @@ class ClipReader:
             pts, dts = packet.pts, packet.dts
             if dts is None or pts is None:
                 continue
-            if decoded is not None and self._begins_anew(decoded, dts):
+            if decoded is not None and (decoded - dts) * self.info.time_base > JUMP_S:
                 found.append(end - pts)
             decoded = dts
             end = max(end, pts + (packet.duration or 0) + sum(found[-1:]))
         return found
-
-    def _begins_anew(self, before: int, after: int) -> bool:
-        return (before - after) * self.info.time_base > JUMP_S
 
     def seeks_to(self, pts: int) -> bool:
         """Whether decoding can begin at the key frame of that time, or one before it."""
@@ -307,7 +304,7 @@ class ClipReader:
             elif stated is None:
                 pts = last + step
             else:
-                if self._begins_anew(last, stated + shift):
+                if (last - stated - shift) * self.info.time_base > JUMP_S:
                     shift = last + step - stated
                 pts = max(stated + shift, last + 1)
             self.repaired |= pts != picture.pts

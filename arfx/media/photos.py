@@ -65,7 +65,7 @@ def open_photo(path: Path) -> Any:
         options={
             "video_size": f"{w}x{h}",
             "pixel_format": "gbrp" if bgr.dtype == np.uint8 else "gbrp16le",
-            "framerate": "65536",
+            "framerate": "65536",  # its clock
         },
     )
 
@@ -83,9 +83,8 @@ def write_photo(part: Path, chunk: Path, source: Path, suffix: str) -> None:
         deep = suffix == ".png" and frame.format.components[0].bits > 8
         rgb = frame.to_ndarray(format="rgb48le" if deep else "rgb24")
     profile = exif = b""
-    with contextlib.suppress(
-        Exception
-    ):  # whatever its header holds: pixels were read
+    # whatever its header holds: the pixels were read
+    with contextlib.suppress(Exception):
         data = read_bytes(source, "picture")
         with open_picture(data, source, "photo") as picture:
             tags = picture.getexif()

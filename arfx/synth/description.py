@@ -33,9 +33,8 @@ def _read(parse: Callable[[str], Any]) -> BeforeValidator:
     return BeforeValidator(lambda v: parse(v) if isinstance(v, str) else v)
 
 
-DEMO_SCENE = Path(__file__).with_name(
-    "demo.toml"
-)  # a desk with an AprilTag and a cube of markers, filmed hand-held on an orbit
+# a desk with an AprilTag and a cube of markers, filmed hand-held on an orbit
+DEMO_SCENE = Path(__file__).with_name("demo.toml")
 
 ORIGIN = (0.0, 0.0, 0.0)
 Length = Annotated[float, _read(length_m)]
@@ -72,8 +71,7 @@ class Clip(Settings):
 
 class Key(Settings):
     """One key frame of a motion; between keys position and rotation follow a smooth
-    (Catmull-Rom) curve.
-    """
+    (Catmull-Rom) curve."""
 
     time_s: float
     position_m: Vector = ORIGIN
@@ -97,8 +95,7 @@ Keys = Annotated[tuple[Key, ...], AfterValidator(_rising)]
 class Motion(Settings):
     """How an object moves; added to its pose.
 
-    turn and sway act in the object's own axes, keys replace the pose.
-    """
+    turn and sway act in the object's own axes, keys replace the pose."""
 
     kind: Literal["still", "turn", "sway", "keys"] = "still"
     # turn: axis
@@ -119,8 +116,7 @@ class Motion(Settings):
 class CameraPath(Settings):
     """How the camera moves in one shot.
 
-    It looks at `target_m` with the room's z up, unless keys turn it.
-    """
+    It looks at `target_m` with the room's z up, unless keys turn it."""
 
     kind: Literal["static", "orbit", "dolly", "keys"] = "static"
     target_m: Vector = ORIGIN
@@ -296,8 +292,7 @@ class Hidden(Settings):
 
 class DepthInput(Settings):
     """What the job is given of the scene's depth (`[input] depth`), as a depth camera
-    measures it.
-    """
+    measures it."""
 
     # FFV1 gray16; empty: none
     file: str = Field(default="", pattern=r"^([\w.-]+\.mkv)?$")

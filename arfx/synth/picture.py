@@ -83,7 +83,7 @@ class Picture:
         seed: int,
     ) -> Arrays:
         """Of each chosen pixel (h, w) one sample at that place in it, so late after the frame's
-        own time, for a footprint of that width in pixels; as `tracer.radiance` gives them."""
+        own time, for a footprint of that width in pixels; as `rays.radiance` gives them."""
         pixels, rays = np.argwhere(chosen), self.rays(*place)
         rows, roll = len(chosen), self.world.scene.hidden.rolling_shutter_s
         cuts = np.searchsorted(pixels[:, 0], range(_BAND_ROWS, rows, _BAND_ROWS))
@@ -95,7 +95,6 @@ class Picture:
         right = np.where(np.isfinite(right), right, down[..., ::-1] * [1, -1])
         down = np.where(np.isfinite(down), down, right[..., ::-1] * [-1, 1])
         spans = footprint * np.nan_to_num(np.stack([right, down], 2))
-
         lens = self.world.scene.lens
 
         def one(part: np.ndarray) -> Arrays:
