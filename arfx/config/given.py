@@ -13,8 +13,10 @@ from arfx.core.opener import parse_toml
 from arfx.errors import ConfigError
 
 Given = tuple[
-    tuple[str, ...], Any, str
+    Sequence[str], Any, str
 ]  # key path in a job file, value, and the words that gave it
+
+_MOST_PARTS = 8  # of a --set key: settings have two
 
 
 def overrides(options: Iterable[Given], texts: Sequence[str]) -> dict[str, Any]:
@@ -22,13 +24,13 @@ def overrides(options: Iterable[Given], texts: Sequence[str]) -> dict[str, Any]:
     Raises ConfigError naming the words, also for an option and a --set that give one key
     different values."""
     tree: dict[str, Any] = {}
-    said: dict[tuple[str, ...], str] = {}
-    for text in texts:
-        (section, key), value = parse_setting(text)
-        tree.setdefault(section, {})[key] = value
-        said[section, key] = f"--set {text}"
+    settings_given = [(*parse_setting(text), f"--set {text}") for text in texts]
+    for setting in settings_given:
+        _set_value(tree, *setting)
     for path, value, words in options:
-        others = [text for key, text in said.items() if key[: len(path)] == path]
+        others = [
+            said for key, _, said in settings_given if key[: len(path)] == list(path)
+        ]
         if others and _meaning(path, value) != _meaning(
             path, reduce(getitem, path, tree)
         ):
@@ -36,8 +38,7 @@ def overrides(options: Iterable[Given], texts: Sequence[str]) -> dict[str, Any]:
                 f"{words} and {others[-1]} give different values to {'.'.join(path)}",
                 "give one of them",
             )
-        table = tree if len(path) == 1 else tree.setdefault(path[0], {})
-        table[path[-1]] = value
+        _set_value(tree, path, value, words)
     return tree
 
 
@@ -63,17 +64,21 @@ def option_given(s: Setting, value: Any) -> tuple[tuple[str, ...], Any]:
     return (s.section, s.key), not s.default if value is True else value
 
 
-def parse_setting(text: str) -> tuple[tuple[str, str], Any]:
-    """`--set raster.backend=rays` to (("raster", "backend"), "rays"). Values are TOML where
+def parse_setting(text: str) -> tuple[list[str], Any]:
+    """`--set raster.backend=rays` to (["raster", "backend"], "rays"). Values are TOML where
     they parse as it, else text. Raises ConfigError."""
     key, equals, value = text.partition("=")
-    section, *rest = [part.strip() for part in key.split(".")]
-    if not (equals and section and len(rest) == 1 and rest[0]):
+    parts = [p.strip() for p in key.split(".")]
+    if not equals or len(parts) < 2 or not all(parts):
         raise ConfigError(
             f"--set {_short(text)!r} is not STAGE.KEY=VALUE",
             "for example --set output.crf=20",
         )
-    return (section, rest[0]), parse_value(value, f"--set {_short(text)}")
+    if len(parts) > _MOST_PARTS:
+        raise ConfigError(
+            f"--set {_short(text)!r}: a key of {len(parts)} parts", "STAGE.KEY=VALUE"
+        )
+    return parts, parse_value(value, f"--set {_short(text)}")
 
 
 def parse_value(text: str, words: str) -> Any:
@@ -90,7 +95,27 @@ def _short(text: str) -> str:
     return text if len(text) <= 80 else f"{text[:80]}…"
 
 
-def _meaning(path: tuple[str, ...], value: Any) -> Any:
+def _set_value(
+    tree: dict[str, Any], path: Sequence[str], value: Any, words: str
+) -> None:
+    """Put a value into nested tables. Raises ConfigError where the way is barred."""
+    at: Any = tree
+    for part in path[:-1]:
+        at = at.setdefault(part, {})
+        if not isinstance(at, dict):
+            raise ConfigError(
+                f"{words}: {part!r} was given a value of its own, it has no keys",
+                "give one of them",
+            )
+    if isinstance(at.get(path[-1]), dict):
+        raise ConfigError(
+            f"{words}: keys of {path[-1]!r} were given values already",
+            "give one of them",
+        )
+    at[path[-1]] = value
+
+
+def _meaning(path: Sequence[str], value: Any) -> Any:
     """Equal for two ways to write a value of a job's key: 15cm and 0.15m."""
     tree = value
     for key in reversed(path):

@@ -153,7 +153,7 @@ def document(found: Measurements, job: Job, seconds: float) -> dict[str, Any]:
     return {
         "clip": str(job.inputs.info.path),
         "frames": frames,
-        "windows": {str(i): w.to_json() for i, w in found.windows.items()},
+        "windows": {str(i): [*w] for i, w in found.windows.items()},
         "effects": [_row(r, found) for r in found.effects],
         "pipelines": [_row(r, found) for r in found.pipelines],
         "recommendation": recommendation(found),

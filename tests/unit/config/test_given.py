@@ -87,9 +87,14 @@ def test_an_option_and_a_setting_may_say_the_same(same: str) -> None:
 
 
 def test_settings_of_the_command_line() -> None:
-    assert parse_setting("output.crf=20") == (("output", "crf"), 20)
-    assert parse_setting("raster.backend=rays") == (("raster", "backend"), "rays")
-    assert parse_setting("a.b=[1, 2]") == (("a", "b"), [1, 2])
-    for bad in ("crf=20", "output.crf", "=1", ".x=1", "a.=1", "a.b.c=1"):
+    assert parse_setting("output.crf=20") == (["output", "crf"], 20)
+    assert parse_setting("raster.backend=rays") == (["raster", "backend"], "rays")
+    assert parse_setting("a.b.c=[1, 2]") == (["a", "b", "c"], [1, 2])
+    for bad in ("crf=20", "output.crf", "=1", ".x=1"):
         with pytest.raises(ConfigError, match=r"STAGE\.KEY=VALUE"):
             parse_setting(bad)
+
+
+def test_a_set_key_of_many_parts_is_refused() -> None:
+    with pytest.raises(ConfigError, match="5000 parts"):
+        parse_setting(".".join("a" * 5000) + "=1")
