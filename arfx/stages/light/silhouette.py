@@ -5,23 +5,17 @@ light and triangles that do not. Those are few (some 300 of 6,000 triangles), an
 has them, whether its surface is closed or not. Every direction shifts the texels' sample
 points a little, so that the mean over the directions is antialiased even where the object
 touches the plane and all silhouettes agree. Cost: O(directions x (texels + rows that the
-contour crosses)).
-
-K silhouettes leave K steps across a penumbra. Their distance grows with the height of what
-casts them, so a box of that width, its height read from a coarse map of the highest caster,
-turns the steps into a ramp and leaves the contact sharp."""
+contour crosses))"""
 
 # mypy: disable-error-code="no-untyped-def, assignment"
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
-from arfx.core.compiled import FAST, kernel
+from arfx.core.compiled import kernel
 from arfx.core.sampling import r2
 
 _F = np.float32
-COARSE = 8  # texels a side of a cell of the height map
 
 
 def covered_fraction(
@@ -148,80 +142,4 @@ def height_map(
                 # slivers have slopes without bound: never beyond the triangle's own corners
                 h = min(max(start + _F(x) * du, low), top)
                 out[y, np.uintp(x)] = max(out[y, np.uintp(x)], h)
-    return out
-
-
-def smoothed(
-    fraction: np.ndarray,
-    points: np.ndarray,
-    faces: np.ndarray,
-    slope: np.ndarray,
-    radii: np.ndarray,
-    count: int,
-) -> np.ndarray:
-    """`fraction` (rows, columns) float32 after the boxes.
-
-    points (n, 3) float32, faces, as for `covered_fraction`;  slope (2,) of the light's middle
-    radii (2,) : columns and rows by which one texel of height opens the penumbra, half its
-    width;  count : directions used
-    """
-    # the mean distance of K points on a unit disc is sqrt(pi / K): less leaves steps, more
-    # blurs beyond the true penumbra
-    half = radii * np.sqrt(np.pi / count) / 2
-    top = float(points[:, 2].max(initial=0.0))
-    if top * float(half.max()) <= 0.5:
-        return fraction
-    height = _caster_height(points, faces, slope, fraction.shape)
-    across = _boxes(fraction, _F(half[0]) * height)
-    columns = np.ascontiguousarray(across.T), np.ascontiguousarray(height.T)
-    down = _boxes(columns[0], _F(half[1]) * columns[1])
-    return np.asarray(down.T.clip(0, 1))
-
-
-def _caster_height(
-    points: np.ndarray, faces: np.ndarray, slope: np.ndarray, shape: tuple[int, ...]
-) -> np.ndarray:
-    """(rows, columns) float32 texels: height of the highest caster over each texel, of the
-    nearest one beside them.
-    """
-    rows, columns = -(-shape[0] // COARSE), -(-shape[1] // COARSE)
-    h = np.ascontiguousarray(points[:, 2])
-    u, v = (
-        (points[:, k] + _F(slope[k]) * h + 0.5) / COARSE - _F(0.5) for k in (0, 1)
-    )
-    height = height_map(u, v, h, faces, rows, columns, _F(-1))
-    empty = height < 0
-    if empty.all():
-        return np.zeros(shape, np.float32)
-    _, label = cv2.distanceTransformWithLabels(
-        empty.astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    table = np.zeros(int(label.max()) + 1, np.float32)
-    table[label[~empty]] = height[~empty]
-    grown = cv2.blur(table[label], (3, 3), borderType=cv2.BORDER_REPLICATE)
-    return cv2.resize(
-        grown, (columns * COARSE, rows * COARSE), interpolation=cv2.INTER_LINEAR
-    )[: shape[0], : shape[1]]
-
-
-@kernel(fastmath=FAST, error_model="numpy")
-def _boxes(fraction, half_width):  # pragma: no cover - compiled
-    """Mean of each row over a box about each texel, exact for parts of texels.
-
-    half_width : (rows, columns) texels"""
-    rows, columns = fraction.shape
-    half, zero, last = _F(0.5), _F(0), _F(columns)
-    out = np.empty((rows, columns), np.float32)
-    total = np.zeros(columns + 1, np.float32)
-    for y in range(rows):
-        for x in range(columns):
-            total[x + 1] = total[x] + fraction[y, x]
-        for x in range(columns):
-            r = max(half_width[y, x], half)
-            centre = _F(x) + half
-            a, b = max(centre - r, zero), min(centre + r, last)
-            ia, ib = np.int32(a), min(np.int32(b), np.int32(columns - 1))
-            low = total[ia] + (a - _F(ia)) * fraction[y, ia]
-            high = total[ib] + (b - _F(ib)) * fraction[y, ib]
-            out[y, x] = (high - low) / (b - a)
     return out
