@@ -53,7 +53,6 @@ LONG = {
     "arfx/reproduce/s1_equations.py": 445,
     "arfx/reproduce/s3.py": 453,
     "arfx/run/job.py": 488,
-    "arfx/stages/gi/stage.py": 407,
     "arfx/synth/description.py": 402,
 }
 MODULES = sorted(
