@@ -16,6 +16,7 @@ from arfx.core.compiled import kernel
 from arfx.core.sampling import r2
 
 _F = np.float32
+_NEAR = 1e-6  # texels: no gap between two triangles
 
 
 def covered_fraction(
@@ -101,45 +102,41 @@ def height_map(
     """(rows, columns) float32: the greatest height of the triangles at each texel's centre;
     `empty` where there is none.
 
-    u, v, height : (n,) float32 of the vertices, texels (centres at integers)"""
+    u, v, height : (n,) of the vertices, texels (centres at integers)"""
     out = np.full((rows, columns), empty, np.float32)
-    zero = np.int64(0)
     for f in range(faces.shape[0]):
         i, j, k = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
-        ua, va, ha = u[i], v[i], height[i]
-        ub, vb, hb = u[j], v[j], height[j]
-        uc, vc, hc = u[k], v[k], height[k]
-        if vb < va:
-            ua, va, ha, ub, vb, hb = ub, vb, hb, ua, va, ha
-        if vc < vb:
-            ub, vb, hb, uc, vc, hc = uc, vc, hc, ub, vb, hb
-            if vb < va:
-                ua, va, ha, ub, vb, hb = ub, vb, hb, ua, va, ha
-        first, last = (
-            max(np.int64(np.ceil(va)), zero),
-            min(np.int64(np.ceil(vc)), np.int64(rows)),
-        )
-        # of the corners in this order: rounded otherwise in another, it may be 0 in one alone
-        across = (ub - ua) * (vc - va) - (vb - va) * (uc - ua)
-        if first >= last or across == 0:
+        across, down = u[j] - u[i], v[j] - v[i]
+        far, low = u[k] - u[i], v[k] - v[i]
+        area = across * low - down * far
+        if area == 0:
             continue
-        du = ((hb - ha) * (vc - va) - (vb - va) * (hc - ha)) / across
-        dv = ((ub - ua) * (hc - ha) - (hb - ha) * (uc - ua)) / across
-        top, low = max(ha, hb, hc), min(ha, hb, hc)
-        long = (uc - ua) / (vc - va)
-        lower = (ub - ua) / (vb - va) if vb > va else _F(0)
-        upper = (uc - ub) / (vc - vb) if vc > vb else _F(0)
-        for y in range(first, last):
-            at = _F(y)
-            p = ua + (at - va) * long
-            q = ua + (at - va) * lower if at < vb else ub + (at - vb) * upper
-            x0, x1 = (
-                max(np.int64(np.ceil(min(p, q))), zero),
-                min(np.int64(np.ceil(max(p, q))), np.int64(columns)),
-            )
-            start = ha + (at - va) * dv - ua * du
-            for x in range(x0, x1):
-                # slivers have slopes without bound: never beyond the triangle's own corners
-                h = min(max(start + _F(x) * du, low), top)
-                out[y, np.uintp(x)] = max(out[y, np.uintp(x)], h)
+        bottom = min(height[i], height[j], height[k])
+        top = max(height[i], height[j], height[k])
+        first = max(int(np.ceil(min(v[i], v[j], v[k]))), 0)
+        last = min(int(np.floor(max(v[i], v[j], v[k]))), rows - 1)
+        for y in range(first, last + 1):
+            # shares of the second and the third corner at column 0, and what a column adds
+            second = (-u[i] * low - (y - v[i]) * far) / area
+            third = (across * (y - v[i]) + u[i] * down) / area
+            more, less = low / area, -down / area
+            begin, end = 0.0, columns - 1.0
+            for share, slope in (
+                (second, more),
+                (third, less),
+                (1 - second - third, -more - less),
+            ):
+                if slope > 0:
+                    begin = max(begin, -share / slope)
+                elif slope < 0:
+                    end = min(end, -share / slope)
+                elif share < 0:
+                    end = -1.0
+            for x in range(
+                int(np.ceil(begin - _NEAR)), int(np.floor(end + _NEAR)) + 1
+            ):
+                h = height[i] + (second + x * more) * (height[j] - height[i])
+                h += (third + x * less) * (height[k] - height[i])
+                # slivers have slopes without bound: never beyond their own corners
+                out[y, x] = max(out[y, x], min(max(h, bottom), top))
     return out
