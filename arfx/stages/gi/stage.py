@@ -125,7 +125,8 @@ class LitScene:
 
     left : of `Indirect`;  changes : of `change_textures`;  radius_m : within which they show
     received, sent (z, y, x, 3) : nodes of what falls on the object, and of what it sends
-    mean (3,), sky (6 SKY^2, 3) : radiance of planes and sky, for which they are"""
+    mean (3,), sky (6 SKY^2, 3) : radiance of planes and sky, for which they are
+    times (3,) : as bright as `received` the frame's light is"""
 
     left: np.ndarray
     changes: list[list[PlaneTexture]]
@@ -134,6 +135,7 @@ class LitScene:
     sent: np.ndarray
     mean: np.ndarray
     sky: np.ndarray
+    times: np.ndarray
 
 
 class Gi(Stage):
@@ -252,15 +254,13 @@ class Gi(Stage):
                 transport.grid.nodes, (indirect.received, indirect.sent)
             )
             of_planes = indirect.left, changes, radius_m
-            return LitScene(*of_planes, received, sent, mean, sky)
+            return LitScene(*of_planes, received, sent, mean, sky, times)
 
         kept: LitScene = view.memo.of_light.get(key, make)
-        single = times.astype(np.float32)
-        received, sent = kept.received * single, kept.sent * single
-        bright = kept.mean * times, kept.sky * times
-        return replace(
-            kept, received=received, sent=sent, mean=bright[0], sky=bright[1]
+        sent, mean, sky = (
+            a * times.astype(a.dtype) for a in (kept.sent, kept.mean, kept.sky)
         )
+        return replace(kept, sent=sent, mean=mean, sky=sky, times=times)
 
     def _virtual(
         self,
@@ -280,9 +280,10 @@ class Gi(Stage):
         left, sky = lit.left, sky_radiance(view.facts, view.scene, view.light)
         change = incoming.change(lit.mean, left)
         more = transport.more_from_around(change, sky - lit.sky)
-        nodes = lit.received + transport.grid.nodes(more)
+        nodes = lit.received + transport.grid.nodes(more / lit.times)
         layers = surface.coverage, surface.normal, surface.position
         light = transport.grid.read(nodes, *layers, sight.anchor_from_world)
+        light *= lit.times.astype(np.float32)
         smooth = smooth_normal(surface.normal, here)
         if smooth is not surface.normal:
             light *= share_above_surface(surface.normal, smooth)[..., None]

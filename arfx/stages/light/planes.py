@@ -237,6 +237,7 @@ def mirror_rect(
     return out.clip(frame)
 
 
+@lru_cache(maxsize=4)
 def texel_positions(planes: Planes, side: int) -> np.ndarray:
     """(p, side, side, 3) float64 metres, anchor axes, of the texels' centres."""
     t = unwarped((np.arange(side) + 0.5) / side * 2 - 1) * planes.half_m
