@@ -47,7 +47,8 @@ from arfx.stages.dof.depth_layers import dioptre_of
 from arfx.stages.dof.layers import depth_range, object_box
 from arfx.stages.dof.optics import CircleOfConfusion, focal_mm
 from arfx.stages.dof.params import DofParams
-from arfx.stages.dof.planes import Real, between_nodes
+from arfx.stages.dof.planes import Real
+from arfx.stages.viewing import between_nodes
 
 INSIDE = 2 / 3  # of the blend, within the depth of field
 _NEARER = np.float32(

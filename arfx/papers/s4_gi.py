@@ -48,11 +48,11 @@ from arfx.papers.s4_volumes import Volumes, step2_volumes
 from arfx.stages.gi import GiParams
 from arfx.stages.gi.gloss import mirror_tangent
 from arfx.stages.gi.incoming import light_in_steps
-from arfx.stages.gi.plane_change import DARKEST
-from arfx.stages.gi.reference import Rows, object_mask, object_points
+from arfx.stages.gi.plane_change import DARKEST, Rows
+from arfx.stages.gi.reference import object_mask, object_points
 from arfx.stages.gi.reference_scene import RayScene
 from arfx.stages.light.split_sum import COSINES, ROUGHNESSES, split_sum
-from arfx.stages.viewing import direction_grid, seen_rect, viewing
+from arfx.stages.viewing import between_nodes, direction_grid, seen_rect
 
 LIFT = 0.02  # of the distance: measured depth that is off by more does not lie on the plane
 BAND_PX = 32  # rows at once: bounds memory
@@ -230,7 +230,8 @@ def real_surfels(
 ) -> tuple[Rows, Surfels]:
     """(rows and columns, points) where the picture shows the mesh and not the object alone."""
     anchor_from_camera = (view.pose @ view.scene.world_from_anchor).inverse()
-    d = viewing(prepared.grid, within)  # z = 1: distances are depths
+    # z = 1: distances are depths
+    d = between_nodes(prepared.grid.astype(np.float32), within)
     seen = d.reshape(-1, 3) @ anchor_from_camera.rotation.T
     eyes = np.broadcast_to(anchor_from_camera.translation_m, seen.shape)
     met = prepared.real.nearest(eyes, seen)

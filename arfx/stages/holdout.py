@@ -29,7 +29,7 @@ from arfx.core.settings import Settings, setting
 from arfx.core.stage import Demand, Stage, View
 from arfx.stages.guided import reach_px, refined, window_px
 from arfx.stages.light.planes import on_plane
-from arfx.stages.viewing import direction_grid, viewing
+from arfx.stages.viewing import between_nodes, direction_grid
 
 _SIGMAS = 3.0  # of the depth's noise, within which a pixel lies on the plane
 
@@ -99,4 +99,5 @@ def plane_dioptres(
     grid : as `direction_grid`"""
     normal = camera_from_plane.rotation[:, 2]
     height = float(normal @ camera_from_plane.translation_m)
-    return viewing((grid @ normal)[..., None] * divide(1.0, height), rect)[..., 0]
+    nodes = (grid @ normal * divide(1.0, height)).astype(np.float32)
+    return between_nodes(nodes, rect)

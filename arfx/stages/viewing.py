@@ -4,6 +4,7 @@ and linear between.
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
 from arfx.core.camera import Camera
@@ -32,17 +33,13 @@ def seen_rect(camera: Camera, points: np.ndarray, pad_px: float) -> Rect:
     return Rect.around(seen, pad_px) if np.isfinite(seen).all() else camera.rect
 
 
-def viewing(grid: np.ndarray, rect: Rect) -> np.ndarray:
-    """(h, w, 3) float32 of the pixels of `rect`, linear between the entries of a table (gh,
-    gw, 3) as `direction_grid` makes it.
-
-    The same for a pixel whatever the rectangle."""
-    x, y = np.arange(rect.x0, rect.x1), np.arange(rect.y0, rect.y1)
-    i, j = x // GRID_PX, y // GRID_PX
-    fx, fy = (
-        (x % GRID_PX / GRID_PX)[None, :, None],
-        (y % GRID_PX / GRID_PX)[:, None, None],
+def between_nodes(nodes: np.ndarray, rect: Rect) -> np.ndarray:
+    """(h, w, ...) float32 of the pixels of `rect`, linear between nodes (gh, gw, ...) float32 at
+    every GRID_PX-th pixel, up to 4 channels. The same for a pixel whatever the rectangle."""
+    step = 1 / GRID_PX
+    pixel_to_node = np.array([[step, 0, step * rect.x0], [0, step, step * rect.y0]])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    size = rect.width, rect.height
+    return cv2.warpAffine(
+        nodes, pixel_to_node, size, flags=flags, borderMode=cv2.BORDER_REPLICATE
     )
-    top = grid[j[:, None], i] * (1 - fx) + grid[j[:, None], i + 1] * fx
-    bottom = grid[j[:, None] + 1, i] * (1 - fx) + grid[j[:, None] + 1, i + 1] * fx
-    return np.ascontiguousarray(top * (1 - fy) + bottom * fy, np.float32)

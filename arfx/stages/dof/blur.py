@@ -41,11 +41,11 @@ def blurred(
         to
     layers : farthest first, the first without holes"""
     base, rect = layers[0], layers[0].rect
-    boosted = replace(base, light=_boosted(base.light, params.highlight_boost))
+    clipped = replace(base, light=boosted(base.light, params.highlight_boost))
     lens = accuracy, params.blades, params.blade_turn_deg
     spread = [
         scattered(layer.light, layer.radius, (layer.rect.x0, layer.rect.y0), *lens)
-        for layer in (boosted, *layers[1:])
+        for layer in (clipped, *layers[1:])
     ]
     result = np.zeros((out.height, rect.width, 3), np.float32)
 
@@ -65,7 +65,7 @@ def blurred(
     return result
 
 
-def _boosted(light: np.ndarray, boost: float) -> np.ndarray:
+def boosted(light: np.ndarray, boost: float) -> np.ndarray:
     """Clipped pixels brighter. light : (h, w, 4)"""
     if boost <= 0:
         return light

@@ -22,7 +22,8 @@ from arfx.stages.dof.aperture import SHARP_PX
 from arfx.stages.dof.depth_layers import depth_layers, dioptre_of
 from arfx.stages.dof.optics import CircleOfConfusion
 from arfx.stages.dof.params import DofParams
-from arfx.stages.dof.planes import Real, between_nodes
+from arfx.stages.dof.planes import Real
+from arfx.stages.viewing import between_nodes
 
 _TILE_PX = 8  # tiles of the frame over which a radius is averaged before it goes on
 
@@ -69,19 +70,30 @@ def layers_of_light(
     params: DofParams,
 ) -> list[LightLayer]:
     """Of a frame with a pose, farthest first; the first covers all of `now`."""
-    rect, behind = now.rect, behind_object(now, facts)
-    if params.scope != "all":
-        out = [LightLayer(rect, behind, np.zeros(behind.shape[:2], np.float32))]
-    elif real.tiles is not None:
-        out = _measured(rect, behind, dioptre_of(now[Layer.REAL_DEPTH]), coc)
-    else:
-        out = _planes(rect, behind, real, grid, coc)
+    out, rect = real_layers(now, facts, real, grid, coc, params), now.rect
     box = facts.raster_box.clip(rect)
     if not box.empty:
         light, radius = _object(now.crop(box), facts, coc)
         if light[..., 3].any():
             out.append(_occluder(rect, box, light, radius))
     return out
+
+
+def real_layers(
+    now: Layers,
+    facts: FrameFacts,
+    real: Real,
+    grid: np.ndarray,
+    coc: CircleOfConfusion,
+    params: DofParams,
+) -> list[LightLayer]:
+    """The same of the real scene alone."""
+    rect, behind = now.rect, behind_object(now, facts)
+    if params.scope != "all":
+        return [LightLayer(rect, behind, np.zeros(behind.shape[:2], np.float32))]
+    if real.tiles is not None:
+        return _measured(rect, behind, dioptre_of(now[Layer.REAL_DEPTH]), coc)
+    return _planes(rect, behind, real, grid, coc)
 
 
 def behind_object(now: Layers, facts: FrameFacts) -> np.ndarray:

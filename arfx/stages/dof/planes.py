@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
-import cv2
 import numpy as np
 
 from arfx.core.camera import Camera
@@ -20,7 +19,7 @@ from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.stages import viewing
-from arfx.stages.viewing import GRID_PX
+from arfx.stages.viewing import between_nodes
 
 _MARGIN = 1.25  # a print and its white border, as a fraction of the black square
 # A marker whose corners leave the main plane by less than this fraction of its side lies in it.
@@ -30,25 +29,9 @@ _SAME_PLANE = 0.1
 @lru_cache(maxsize=4)
 def direction_grid(camera: Camera) -> np.ndarray:
     """(gh, gw, 3) directions as `viewing.direction_grid`; where there is none, the axis."""
-    return seen_or_axis(viewing.direction_grid(camera))
-
-
-def seen_or_axis(directions: np.ndarray) -> np.ndarray:
-    """(..., 3) the directions that are finite, and the optical axis in place of the others."""
+    directions = viewing.direction_grid(camera)
     known = np.isfinite(directions).all(-1, keepdims=True)
     return np.where(known, directions, [0.0, 0.0, 1.0])
-
-
-def between_nodes(nodes: np.ndarray, rect: Rect) -> np.ndarray:
-    """(h, w, ...) float32 of the pixels of `rect`, linear between nodes (gh, gw, ...) float32
-    every GRID_PX pixels."""
-    step = 1 / GRID_PX
-    pixel_to_node = np.array([[step, 0, step * rect.x0], [0, step, step * rect.y0]])
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    size = rect.width, rect.height
-    return cv2.warpAffine(
-        nodes, pixel_to_node, size, flags=flags, borderMode=cv2.BORDER_REPLICATE
-    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,5 +1,5 @@
 """The reference level: what a thin lens sees, as an integral over its aperture. Shares no kernel
-with the other levels.
+with the other levels, but what lies where before it is blurred (layers.py).
 
 The real scene: every pixel's light onto every pixel that its circle covers, circles as exact
 areas, sums in float64. A pixel p sees the point x of a plane through the place o = (x - p) / s of
@@ -14,27 +14,23 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
-from arfx.core.camera import Camera
 from arfx.core.compiled import kernel
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers
+from arfx.core.layers import Layers
 from arfx.core.numerics import divide
 from arfx.core.parallel import parallel_rows
-from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.stages.dof.aperture import SHARP_PX, disc
-from arfx.stages.dof.depth_layers import depth_layers, dioptre_of
-from arfx.stages.dof.layers import behind_object
-from arfx.stages.dof.lens_rays import LensView, RayScene, lens_points
+from arfx.stages.dof.blur import boosted
+from arfx.stages.dof.layers import LightLayer, behind_object, real_layers
+from arfx.stages.dof.lens_rays import LensView, RayScene
 from arfx.stages.dof.optics import CircleOfConfusion
 from arfx.stages.dof.params import DofParams
-from arfx.stages.dof.planes import Plane, Real, seen_or_axis
+from arfx.stages.dof.planes import Real, direction_grid
 
 # Circles of a radius of n^2 px: n times as many, a hundredth of a radius apart and less.
 _SIZES = 128
-_PLANE_POINTS = 256  # of the lens, for what it sees of a plane of limited size
 _LEAST_WEIGHT = 1e-6  # of light in a pixel, below which it has none
 
 
@@ -48,13 +44,12 @@ def render(
     prepared: RayScene,
 ) -> np.ndarray:
     """IMAGE (h, w, 3) of a frame with a pose."""
-    behind = behind_object(now, facts)
-    blurred = sharp = behind[..., :3].astype(float)
-    if params.scope == "all" and real.tiles is not None:
-        blurred = _measured(behind, dioptre_of(now[Layer.REAL_DEPTH]), coc, params)
-    elif params.scope == "all":
-        directions = _directions(scene.camera, now.rect)
-        blurred = _planes(sharp, directions, real, coc, params, scene.camera)
+    grid = direction_grid(scene.camera)
+    layers = real_layers(now, facts, real, grid, coc, params)
+    sharp = behind_object(now, facts)[..., :3].astype(float)
+    blurred = (
+        sharp if params.scope != "all" else _blurred(layers, real, sharp, params)
+    )
     endless = real.tiles is None and not real.finite_planes
     view = LensView(
         now,
@@ -72,91 +67,32 @@ def render(
     return image.astype(np.float32)
 
 
-def _directions(camera: Camera, rect: Rect) -> np.ndarray:
-    """(h, w, 3) of the pixels of `rect`, z = 1; the axis where there is none."""
-    pixels = np.meshgrid(np.arange(rect.x0, rect.x1), np.arange(rect.y0, rect.y1))
-    return seen_or_axis(camera.directions(np.stack(pixels, -1).astype(float)))
-
-
-def _planes(
-    behind: np.ndarray,
-    directions: np.ndarray,
-    real: Real,
-    coc: CircleOfConfusion,
-    params: DofParams,
-    camera: Camera,
+def _blurred(
+    layers: list[LightLayer], real: Real, sharp: np.ndarray, params: DofParams
 ) -> np.ndarray:
-    """(h, w, 3) real planes through the lens, farthest first."""
-    free = np.ones(behind.shape[:2])
-    fronts = []
-    for plane in reversed(real.finite_planes):  # nearest first
-        seen = free * _met(plane, directions, np.zeros((1, 2)), 0.0)
-        free = free - seen
-        fronts.append((plane, seen))
-    dioptre = np.maximum(directions @ real.base.forms[2], real.background)
-    out = _normal(_scattered(behind, free, *_circles(dioptre, coc), params), behind)
-    lens = lens_points(_PLANE_POINTS, params.blades, params.blade_turn_deg)[:, :2]
-    lens_m = lens * coc.px_per_dioptre / camera.fx
-    for plane, seen in reversed(fronts):
-        circles = _circles(np.maximum(directions @ plane.forms[2], 0), coc)
-        front = _normal(_scattered(behind, seen, *circles, params), behind)
-        out = (
-            out
-            + (front - out) * _met(plane, directions, lens_m, coc.focus)[..., None]
-        )
+    """(h, w, 3) layers through the lens, one over the other."""
+    out, rect = sharp.copy(), layers[0].rect
+    for layer in layers:
+        part, weight = layer.rect.slices_in(rect), layer.light[..., 3].astype(float)
+        colour = divide(layer.light[..., :3], weight[..., None])
+        slope = _slope(layer.radius) if real.tiles is None else 0 * colour[..., :2]
+        how = layer.radius, slope, params
+        spread = _scattered(colour, weight, *how)
+        fraction = np.ones((*weight.shape, 1))
+        if layer is not layers[0]:
+            everything = _scattered(colour, np.ones(weight.shape), *how)
+            fraction = divide(spread[..., 3:], everything[..., 3:])
+        own = _normal(spread, out[part])
+        out[part] += (own - out[part]) * fraction
     return out
 
 
-def _circles(
-    dioptre: np.ndarray, coc: CircleOfConfusion
-) -> tuple[np.ndarray, np.ndarray]:
-    """Blur radius (h, w) px, and its gradient with its sign, as a fraction of it, (h, w, 2) along
-    y and x, 1/px."""
-    signed = coc.px_per_dioptre * (dioptre - coc.focus)
-    radius = coc.radius_px(dioptre)
-    slope = np.zeros((*signed.shape, 2))
-    if min(signed.shape) > 1:
-        slope = np.stack([*np.gradient(signed)], -1)
-    free = (np.abs(signed) <= radius) & (radius > SHARP_PX)
-    return radius, np.where(free[..., None], divide(slope, signed[..., None]), 0.0)
-
-
-def _measured(
-    behind: np.ndarray, dioptre: np.ndarray, coc: CircleOfConfusion, params: DofParams
-) -> np.ndarray:
-    """By measured depth: layers as in `depth_layers`, each spread by exact discs."""
-    (light, radius), *fronts = depth_layers(behind, dioptre, coc)
-    flat, sharp = np.zeros((*radius.shape, 2)), behind[..., :3].astype(float)
-    base, whole = light[..., :3].astype(float), np.ones(radius.shape)
-    out = _normal(_scattered(base, whole, radius, flat, params), sharp)
-    for light, radius in fronts:
-        coverage = light[..., 3].astype(float)
-        _, nearest = distance_transform_edt(coverage <= 0, return_indices=True)
-        around = radius[tuple(nearest)]
-        colour = divide(light[..., :3], coverage[..., None])
-        spread = _scattered(colour, coverage, around, flat, params)
-        everything = _scattered(colour, whole, around, flat, params)
-        fraction = divide(spread[..., 3:], everything[..., 3:])
-        out = out + (_normal(spread, out) - out) * fraction
-    return out
-
-
-def _met(
-    plane: Plane, directions: np.ndarray, lens_m: np.ndarray, focus: float
-) -> np.ndarray:
-    """(h, w) fraction of the places on the lens (n, 2) from which the plane's square is met in the
-    pixel's direction.
-
-    focus : 1/m, where rays of one pixel meet
-    From o = (a, b, 0) along d - focus o: the point of dioptre v on the plane lies in the direction
-    d - focus o + v o."""
-    along = directions @ plane.forms.T
-    met = np.zeros(along.shape[:2])
-    for shift in lens_m @ plane.forms[:, :2].T:
-        dioptre = divide(along[..., 2] - focus * shift[2], 1 - shift[2])
-        moved = along[..., :2] + (dioptre - focus)[..., None] * shift[:2]
-        met += plane.within(np.dstack([moved, dioptre]))
-    return met / len(lens_m)
+def _slope(radius: np.ndarray) -> np.ndarray:
+    """(h, w, 2) of radii (h, w) px, along y and x, as a fraction of them, 1/px."""
+    if min(radius.shape) < 2:
+        return np.zeros((*radius.shape, 2))
+    slope = divide(np.stack(np.gradient(radius), -1), radius[..., None])
+    return np.where(radius[..., None] > SHARP_PX, slope, 0.0)
 
 
 def _scattered(
@@ -166,12 +102,9 @@ def _scattered(
     slope: np.ndarray,
     params: DofParams,
 ) -> np.ndarray:
-    """(h, w, 4) sums of light and weight. radius, slope : of `_circles`"""
-    boost = 1 + params.highlight_boost * np.clip((colour.max(-1) - 0.9) / 0.1, 0, 1)
-    light = (
-        np.dstack([colour * boost[..., None], np.ones_like(weight)])
-        * weight[..., None]
-    )
+    """(h, w, 4) sums of light and weight. radius (h, w), slope : of `_slope`"""
+    light = boosted(np.dstack([colour, np.ones_like(weight)]), params.highlight_boost)
+    light *= weight[..., None]
     steps = np.round(np.sqrt(radius, dtype=float) * _SIZES).astype(np.int64)
     sizes, which = np.unique(steps, return_inverse=True)
     lens = params.blades, params.blade_turn_deg

@@ -11,12 +11,11 @@ from typing import TypeVar
 import numpy as np
 
 from arfx.core.camera import Camera
-from arfx.core.cube import face_directions
+from arfx.core.cube import bordered
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.light import Light
 from arfx.core.model import Material
-from arfx.core.numerics import angle_between, divide
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.stage import Check, JobView
 from arfx.stages.light.surroundings import checked_faces
@@ -59,23 +58,13 @@ def seam_ratio(faces: np.ndarray) -> float:
     to them; 1 = no seam.
 
     Flat maps have neither: steps below a thousandth of the mean count as that."""
-    n = faces.shape[1]
-    flat, values = (
-        face_directions(n).reshape(-1, 3),
-        faces.reshape(-1, faces.shape[-1]),
-    )
-    border = np.ones((6, n, n), bool)
-    border[:, 1:-1, 1:-1] = n < 3
-    own, face = np.flatnonzero(border), np.arange(len(flat)) // n**2
-    cosine, same = flat[own] @ flat.T, face[own, None] == face
-    least, steps = max(1e-3 * float(np.abs(values).mean()) * n, 1e-9), []
-    inner = same if n < 3 else same & ~border.ravel()
-    for candidates in (~same, inner):
-        near = np.where(candidates, cosine, -2).argmax(1)
-        apart_rad = np.maximum(angle_between(flat[own], flat[near]), 1e-6)
-        step = divide(np.abs(values[own] - values[near]).mean(1), apart_rad)
-        steps.append(max(float(np.median(step)), least))
-    return steps[0] / steps[1]
+    rows = bordered(faces)
+    columns = rows.swapaxes(1, 2)
+    sides = np.concatenate([rows, rows[:, ::-1], columns, columns[:, ::-1]])
+    steps = np.abs(np.diff(sides[:, :3, 1:-1], axis=1)).mean(-1)
+    across, within = np.median(steps, (0, 2))
+    least = max(1e-3 * float(np.abs(faces).mean()), 1e-9)
+    return float(max(across, least) / max(within, least))
 
 
 def furnace(job: JobView) -> Iterator[Check]:

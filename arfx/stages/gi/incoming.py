@@ -22,9 +22,9 @@ from arfx.stages.light.environment import Environment
 from arfx.stages.light.planes import (
     Planes,
     PlatePicture,
-    bounding_ball,
     filled,
     mip_chain,
+    texel_positions,
 )
 from arfx.stages.light.surroundings import frame_environment, frame_surroundings
 from arfx.stages.light.transport import SKY
@@ -35,7 +35,9 @@ _PLANE_STEP = 0.05  # of the planes' mean: of their change that is 1 %
 # straight to the object is that of the frame: steps are left in what bounces.
 _SHARE_STEP = 1 / 4
 _AXES_STEP = 1 / 16
-_NEAR_RADII = 3  # of the object: how far the plane counts for its mean
+_FAR_SHARE = (
+    6  # of a plane's texture, on each side: beyond some 3 radii of the object
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,11 +84,10 @@ class IncomingLight:
 
 
 def incoming_light(
-    view: View, seen: Rect, planes: Planes, positions: np.ndarray
+    view: View, seen: Rect, planes: Planes, side: int
 ) -> IncomingLight:
     """seen : the pixels that may be looked at (the same for every part of the frame that is
-    rendered);  positions : of the
-    texels of the picture on the planes"""
+    rendered);  side : texels a side of the picture on a plane"""
     facts, scene, light = view.facts, view.scene, view.light
     shown = PlatePicture(
         view[Layer.PLATE],
@@ -97,13 +98,11 @@ def incoming_light(
         np.array(facts.bias_rgb, np.float32),
         measured(view.layers),
     )
-    each = zip(positions, planes.axes.astype(float), strict=True)
+    each = zip(texel_positions(planes, side), planes.axes.astype(float), strict=True)
     found = [shown.radiance(places, axes) for places, axes in each]
     picture, known = (np.stack(a) for a in zip(*found, strict=True))
     turn = scene.world_from_anchor.rotation
-    mean = _plane_mean(
-        picture, known, positions, planes, scene, 0.4 * light.radiance(turn[:, 2])
-    )
+    mean = _plane_mean(picture, known, 0.4 * light.radiance(turn[:, 2]))
     environment = frame_environment(facts, scene, light)
     cube_from_anchor = (environment.turn @ turn).astype(np.float32)
     environment = environment._replace(turn=cube_from_anchor)
@@ -191,19 +190,12 @@ def _powers(values: ArrayLike, step: float) -> np.ndarray:
 
 
 def _plane_mean(
-    picture: np.ndarray,
-    known: np.ndarray,
-    positions: np.ndarray,
-    planes: Planes,
-    scene: Scene,
-    otherwise: np.ndarray,
+    picture: np.ndarray, known: np.ndarray, otherwise: np.ndarray
 ) -> np.ndarray:
     """(3,) mean radiance of the first plane near the object; `otherwise` if unknown."""
-    reach_m = _NEAR_RADII * bounding_ball(scene)[1]
-    step = max(picture.shape[1] // 64, 1)
-    away2 = ((positions[0, ::step, ::step] - planes.axes[0, 0]) ** 2).sum(-1)
-    weight = known[0, ::step, ::step] * (away2 < reach_m**2)
-    if not weight.sum() > 0:
+    edge = picture.shape[1] // _FAR_SHARE
+    weight = known[0, edge:-edge, edge:-edge]
+    if not weight.any():
         return otherwise
-    sums = np.tensordot(weight, picture[0, ::step, ::step], 2)
-    return np.asarray(sums / weight.sum())
+    near = picture[0, edge:-edge, edge:-edge]
+    return np.asarray(np.tensordot(weight, near, 2) / weight.sum())

@@ -8,19 +8,24 @@ the coarse share. Source: docs/methods/gi.md#delta."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import cv2
 import numpy as np
 
 from arfx.core.layers import Layer, Layers
-from arfx.core.numerics import divide
+from arfx.core.numerics import divide, normalise
 from arfx.core.pose import Pose
+from arfx.core.stage import View
 from arfx.stages.holdout import plane_dioptres
 from arfx.stages.light.plane_lookup import PlaneTexture, PlaneView
 from arfx.stages.light.plane_shadow import texel_places
 from arfx.stages.light.planes import SHOWS, Planes, on_plane, warped
 from arfx.stages.light.transport import Indirect
+from arfx.stages.viewing import between_nodes
+
+Rows = tuple[np.ndarray, np.ndarray]  # rows and columns of some pixels
+SeenPlaces = tuple[int, Rows, np.ndarray, np.ndarray, np.ndarray]
 
 DARKEST = np.float32(0.002)  # radiance below which a pixel is no base for a ratio
 # of the distance: measured depth that is off by less lies on the plane; by twice that, not
@@ -68,18 +73,17 @@ def change_textures(
         blank = _even_picture(planes.half_m, -np.linalg.solve(turn, shift))
         shares = [(p, p.dark[0]) for p in soft] if k == 0 else [(blank, dark)]
         quotient = divide(gain, dark[..., None] * light.total[k])
-        parts = [(*share, quotient) for share in shares]
-        if len(planes.axes) > 1:
-            everywhere = np.ones_like(dark)
-            parts.append((blank, everywhere, light.spread[k] / light.total[k]))
-        textures = []
-        for texture, share, change in parts:
+        beside = light.spread[k] / light.total[k]
+        textures: list[PlaneTexture] = []
+        for texture, share in shares:
             places = (texel_places(texture) @ turn.T + shift) / planes.half_m
             if texture is blank:
                 share = sampled(share[..., None], places)[..., 0]
+            change = share[..., None] * sampled(quotient, places)
+            if not textures:  # the others are parts of the first
+                change += sampled(beside, places)
             rim = (1 - np.linalg.norm(places, axis=-1)) / (1 - _RIM)
-            share = share * np.clip(rim, 0, 1)
-            change = np.moveaxis(share[..., None] * sampled(change, places), 2, 0)
+            change = np.moveaxis(change * np.clip(rim, 0, 1)[..., None], 2, 0)
             inner = np.pad(change[:, 1:-1, 1:-1], ((0, 0), (1, 1), (1, 1)))
             change = inner.astype(np.float32, "C")
             textures.append(PlaneTexture(change, texture.texel_from_m))
@@ -136,16 +140,14 @@ def add_change(
 
 def shown_planes(
     layers: Layers, grid: np.ndarray, anchor_from_camera: Pose, planes: Planes
-) -> list[np.ndarray | None]:
-    """(h, w) of each plane: is it what a pixel shows, 0..1; None = wherever it is in view. What
-    was measured and is on none shows none."""
-    real = measured(layers)
+) -> list[np.ndarray]:
+    """(h, w) of each plane: is it what a pixel shows, 0..1; of a lone one wherever it is in view.
+    What was measured and is on none shows none."""
+    real, rect = measured(layers), layers.rect
     if len(planes.axes) == 1 and not real.size:
-        return [None]
+        return [np.ones((rect.height, rect.width), np.float32)]
     poses = [plane_pose(axes) @ anchor_from_camera for axes in planes.axes]
-    dioptres = np.stack(
-        [plane_dioptres(grid, p.inverse(), layers.rect) for p in poses]
-    )
+    dioptres = np.stack([plane_dioptres(grid, p.inverse(), rect) for p in poses])
     dioptres[[pose.translation_m[2] <= 0 for pose in poses]] = -1
     nearest = dioptres.argmax(0)
     agree = np.ones_like(dioptres)
@@ -159,6 +161,26 @@ def shown_planes(
         np.where(s, a, 0).astype(np.float32)
         for s, a in zip(shown, agree, strict=True)
     ]
+
+
+def seen_places(
+    view: View, layers: Layers, grid: np.ndarray, planes: Planes
+) -> Iterator[SeenPlaces]:
+    """Of each plane that the camera is before: its number, and of the pixels (n,) over the
+    layers' rectangle that show it: rows and columns, share, and unit viewing direction and
+    place that is met (n, 3), anchor axes."""
+    anchor_from_camera = (view.pose @ view.scene.world_from_anchor).inverse()
+    eye = anchor_from_camera.translation_m
+    nodes = (grid @ anchor_from_camera.rotation.T).astype(np.float32)
+    directions = between_nodes(nodes, layers.rect)
+    shares = shown_planes(layers, grid, anchor_from_camera, planes)
+    for k, (origin, *_, normal) in enumerate(planes.axes.astype(float)):
+        height = (eye - origin) @ normal
+        shown = (directions @ normal < 0) & (shares[k] > 0) & (height > 0)
+        row, column = np.nonzero(shown)
+        d = normalise(directions[row, column].astype(float))
+        places = eye - (height / (d @ normal))[:, None] * d
+        yield k, (row, column), shares[k][row, column], d, places
 
 
 def visible_radius_m(light: Indirect, planes: Planes, positions: np.ndarray) -> float:

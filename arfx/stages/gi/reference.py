@@ -22,27 +22,21 @@ from arfx.core.layers import Layer
 from arfx.core.noise import noise
 from arfx.core.numerics import divide, normalise
 from arfx.core.parallel import parallel_map
-from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.core.stage import View
 from arfx.stages.gi.incoming import incoming_light
-from arfx.stages.gi.plane_change import shown_planes
-from arfx.stages.gi.reference_lobes import MaterialLobes, PlaneLobes, dot
-from arfx.stages.gi.reference_scene import RayScene, Surroundings
-from arfx.stages.gi.reference_sky import Environment
-from arfx.stages.gi.reference_tracer import BOUNCES, LOBE, NUMBERS, Tracer
-from arfx.stages.light.planes import Planes, texel_positions
-from arfx.stages.light.surroundings import frame_surroundings
+from arfx.stages.gi.plane_change import DARKEST, Rows, SeenPlaces, seen_places
+from arfx.stages.gi.reference_lobes import MaterialLobes
+from arfx.stages.gi.reference_tracer import BOUNCES, NUMBERS, Tracer
+from arfx.stages.light.planes import Planes
 from arfx.stages.viewing import direction_grid
 
 LEAST_LEFT = 0.05  # of a plane's light, beside other planes
-DARKEST = 0.002  # radiance below which a pixel is no base for a ratio
 PICTURE_TEXELS = 128  # a side, of what the picture does not show of a plane
 BATCH = 1 << 14  # pixels at once: bounds memory
-DIMENSIONS = (BOUNCES + 1) * NUMBERS
+DIMENSIONS = BOUNCES * NUMBERS
 
 Draw = Callable[[np.ndarray], np.ndarray]
-Rows = tuple[np.ndarray, np.ndarray]  # rows and columns of some pixels
 
 
 def trace_frame(
@@ -59,35 +53,41 @@ def trace_frame(
     at;  disc : planes' pixels
     gloss : of the planes, share mirrored seen from above, and roughness
     mirror : pixels that can mirror the object"""
-    scene, rect = view.scene, view.rect
-    rays = RayScene(scene)
-    known = frame_surroundings(view.facts, scene, view.light)
-    cube_from_anchor = known.axes @ scene.world_from_anchor.rotation
-    texels = texel_positions(planes, PICTURE_TEXELS)
-    incoming = incoming_light(view, visible_rect, planes, texels)
-    around = Surroundings(incoming, Environment(known.cubes(), cube_from_anchor))
-    tracer = Tracer(rays, around, view.light, scene)
-    anchor_from_camera = (view.pose @ scene.world_from_anchor).inverse()
-    everywhere, grid = (
-        np.ones((rect.height, rect.width)),
-        direction_grid(scene.camera),
-    )
-    shares = shown_planes(view.layers, grid, anchor_from_camera, planes)
-    shown = np.stack([everywhere if share is None else share for share in shares])
-    pixels = Pixels(view, anchor_from_camera, tracer, shown, sobol(samples))
+    incoming = incoming_light(view, visible_rect, planes, PICTURE_TEXELS)
+    tracer = Tracer(view, incoming)
+    pixels = Pixels(view, tracer, sobol(samples))
     virtual, shadow = view[Layer.VIRTUAL].copy(), view[Layer.SHADOW].copy()
-    wanted, matt, shiny = (mask_of(rect, part) for part in (view.out, disc, mirror))
 
     def on_object(rows: Rows) -> None:
         virtual[rows] += pixels.object_light(rows)
 
-    def on_planes(rows: Rows) -> None:
-        change = pixels.plane_change(rows, matt[rows], shiny[rows], gloss)
-        shadow[rows] += strength * change
+    row, column = np.nonzero(object_mask(view, view.out))
+    starts = range(0, len(row), BATCH)
+    parallel_map(
+        on_object, [(row[k : k + BATCH], column[k : k + BATCH]) for k in starts]
+    )
+    if strength <= 0:
+        return {Layer.VIRTUAL: virtual, Layer.SHADOW: shadow}
+    matt, shiny = (mask_of(view.rect, part) for part in (disc, mirror))
+    inside = mask_of(view.rect, view.out) & (matt | shiny)
+    grid = direction_grid(view.scene.camera)
+    jobs: list[SeenPlaces] = []
+    for k, rows, share, d, places in seen_places(view, view.layers, grid, planes):
+        keep = np.flatnonzero(inside[rows])
+        for start in range(0, len(keep), BATCH):
+            some = keep[start : start + BATCH]
+            here = rows[0][some], rows[1][some]
+            jobs.append((k, here, share[some], d[some], places[some]))
 
-    parallel_map(on_object, batches(object_mask(view, view.out)))
-    if strength > 0:
-        parallel_map(on_planes, batches(wanted & (matt | shiny)))
+    def on_plane(job: SeenPlaces) -> None:
+        k, rows, share, d, places = job
+        change = matt[rows][:, None] * pixels.plane_change(k, rows, places)
+        if shiny[rows].any():
+            image = pixels.mirrored(k, rows, places, d, gloss)
+            change += shiny[rows][:, None] * image
+        shadow[rows] += strength * share[:, None] * change
+
+    parallel_map(on_plane, jobs)
     return {Layer.VIRTUAL: virtual, Layer.SHADOW: np.maximum(shadow, 0)}
 
 
@@ -98,13 +98,6 @@ def sobol(samples: int) -> np.ndarray:
     power = int(samples - 1).bit_length()
     sequence = qmc.Sobol(DIMENSIONS, scramble=False)
     return np.asarray(sequence.random_base2(power)[:samples])
-
-
-def batches(mask: np.ndarray) -> list[Rows]:
-    """Pixels of a mask (h, w), BATCH at a time, row by row."""
-    rows, columns = np.nonzero(mask)
-    starts = range(0, len(rows), BATCH)
-    return [(rows[k : k + BATCH], columns[k : k + BATCH]) for k in starts]
 
 
 def mask_of(rect: Rect, part: Rect) -> np.ndarray:
@@ -134,13 +127,10 @@ def object_points(
 
 @dataclass(frozen=True, eq=False)
 class Pixels:
-    """Of one frame. shown (planes, h, w) : is it what a pixel shows, 0..1
-    sequence (samples, DIMENSIONS) : of random numbers"""
+    """Of one frame. sequence (samples, DIMENSIONS) : of random numbers"""
 
     view: View
-    anchor_from_camera: Pose
     tracer: Tracer
-    shown: np.ndarray
     sequence: np.ndarray
 
     def object_light(self, rows: Rows) -> np.ndarray:
@@ -155,61 +145,34 @@ class Pixels:
         draw = partial(self.tracer.light, start, lobes, False)
         return self._mean(draw, rows) * coverage[:, None]
 
-    def plane_change(
-        self,
-        rows: Rows,
-        matt: np.ndarray,
-        shiny: np.ndarray,
-        gloss: tuple[float, float],
-    ) -> np.ndarray:
-        """(n, 3) change of the planes' light by the object, as a share of it.
-
-        matt (n,) : pixels that may change;  shiny (n,) : that may mirror the object, by this
-        `gloss`: share seen from above, and roughness"""
-        tracer, around, rect = self.tracer, self.tracer.around, self.view.rect
-        pixels = np.stack([rows[1] + rect.x0, rows[0] + rect.y0], -1).astype(float)
-        seen = self.view.scene.camera.directions(pixels)
-        directions = normalise(seen @ self.anchor_from_camera.rotation.T)
-        out, eye = np.zeros(directions.shape), self.anchor_from_camera.translation_m
-        shares = self.shown[:, rows[0], rows[1]]
-        share, axes = shares.max(0), around.axes[shares.argmax(0)]
-        falls = -dot(directions, axes[:, 3])
-        heights = dot(eye - axes[:, 0], axes[:, 3])
-        keep = np.flatnonzero((share > 0) & ((falls > 1e-9) & (heights > 0))[:, 0])
-        if not len(keep):
-            return out
-        rows = rows[0][keep], rows[1][keep]
-        directions, normals = directions[keep], axes[keep, 3]
-        places = eye + heights[keep] / falls[keep] * directions
-        start = places + tracer.rays.lift * normals
-        draw = partial(tracer.light, start, tracer.plane_lobes(start, normals), True)
-        total = self._mean(draw, rows) * matt[keep, None]
-        alone = tracer.plane_light[shares.argmax(0)[keep]]
-        others = self._light_of_other_planes(start, normals, rows)
+    def plane_change(self, plane: int, rows: Rows, places: np.ndarray) -> np.ndarray:
+        """(n, 3) change of a plane's light by the object, as a share of it. places (n, 3) : of
+        `seen_places`"""
+        tracer, alone = self.tracer, self.tracer.plane_light[plane]
+        start, normals = tracer.over_plane(plane, places)
+        lobes = tracer.plane_lobes(start, normals)
+        total = self._mean(partial(tracer.light, start, lobes, True), rows)
+        others = self._mean(partial(tracer.of_other_planes, start, normals), rows)
         plane_light = np.maximum(alone + others, LEAST_LEFT * alone)
         # the lamps' shadow is a share of the light that is there alone
-        lamps_take = 1 - self.view[Layer.SHADOW][rows]
         brighter = divide(alone, plane_light, where_zero=1.0) - 1
-        ratio = divide(total, plane_light) - lamps_take * brighter
-        if shiny.any():
-            image = self._mirrored(start, normals, directions, gloss, rows)
-            ratio += image * shiny[keep, None]
-        out[keep] = ratio * share[keep, None]
-        return out
+        lamps_take = 1 - self.view[Layer.SHADOW][rows]
+        return divide(total, plane_light) - lamps_take * brighter
 
-    def _mirrored(
+    def mirrored(
         self,
-        start: np.ndarray,
-        normals: np.ndarray,
+        plane: int,
+        rows: Rows,
+        places: np.ndarray,
         directions: np.ndarray,
         gloss: tuple[float, float],
-        rows: Rows,
     ) -> np.ndarray:
-        """(n, 3) what the planes' mirror image of the object changes, as a share of the picture."""
+        """(n, 3) what a plane's mirror image of the object changes, as a share of the picture.
+
+        directions (n, 3) : of `seen_places`"""
+        start, normals = self.tracer.over_plane(plane, places)
         black = np.zeros_like(start)
-        f0, roughness = np.broadcast_to(
-            np.reshape(gloss, (2, 1, 1)), (2, len(start), 1)
-        )
+        f0, roughness = (np.full((len(start), 1), value) for value in gloss)
         lobes = MaterialLobes(
             normals, -directions, black, black[:, :1], f0, roughness
         )
@@ -219,29 +182,8 @@ class Pixels:
         # the picture cannot lose more than it shows
         return np.maximum(self._mean(draw, rows), -plate) / plate
 
-    def _light_of_other_planes(
-        self,
-        start: np.ndarray,
-        normals: np.ndarray,
-        rows: Rows,
-    ) -> np.ndarray:
-        """(n, 3) light of white planes that other planes give them less what they hide, without the
-        object."""
-        around = self.tracer.around
-        if len(around.axes) < 2:
-            return np.zeros_like(start)
-        lobes = PlaneLobes(start, normals, np.zeros(3), np.inf, all_around=True)
-
-        def draw(numbers: np.ndarray) -> np.ndarray:
-            d = lobes.directions(numbers[:, 0, LOBE])
-            wide, ends = np.ones_like(start), around.first_plane(start, d)
-            sky = around.environment.radiance(d, wide)
-            return around.radiance(start, d, *ends, wide) - sky
-
-        return self._mean(draw, rows)
-
     def _mean(self, draw: Draw, rows: Rows) -> np.ndarray:
-        """(n, 3) of all samples of some pixels. draw : one, of numbers (n, BOUNCES + 1, NUMBERS)"""
+        """(n, 3) of all samples of some pixels. draw : one, of numbers (n, BOUNCES, NUMBERS)"""
         (row, column), rect, count = rows, self.view.rect, len(rows[0])
         band = rect._replace(y0=rect.y0 + int(row[0]), y1=rect.y0 + int(row[-1]) + 1)
         drawn = (noise(band, self.view.key, k) for k in range(DIMENSIONS))
@@ -249,5 +191,5 @@ class Pixels:
         total = np.zeros((count, 3))
         for point in self.sequence:
             numbers = (shift + point) % 1
-            total += draw(numbers.reshape(count, BOUNCES + 1, NUMBERS))
+            total += draw(numbers.reshape(count, BOUNCES, NUMBERS))
         return total / len(self.sequence)

@@ -16,11 +16,10 @@ import numpy as np
 
 from arfx.core.numerics import divide, normalise
 from arfx.core.sampling import frame_about
-from arfx.stages.gi.gloss import gloss_weights, mirror_tangent
+from arfx.stages.gi.gloss import gloss_weights
+from arfx.stages.light.surroundings import lobe_width
 
 SMOOTHEST = 0.02  # roughness: what is smoother is as good as a mirror
-# half-angles of lobes that see the environment as a mirror does, and as a matt surface does
-NARROW_DEG, WIDE_DEG = 6.0, 30.0
 NEAR = 1.3  # radii: from nearer a ball fills so much that the plane's own directions are better
 ABOVE = 1e-5  # least cosine of a direction that leaves a surface
 
@@ -77,13 +76,6 @@ def schlick(f0: np.ndarray, cosine: np.ndarray) -> np.ndarray:
 def smith(cosine: np.ndarray, a2: np.ndarray) -> np.ndarray:
     """(k, 1) the root in Smith's masking of GGX of width a."""
     return np.sqrt(a2 + (1 - a2) * cosine**2)
-
-
-def lobe_width(roughness: np.ndarray) -> np.ndarray:
-    """(k, 1) how wide a GGX lobe sees the environment, by the cone that blurs as it does: 0 as a
-    mirror, 1 as a matt surface."""
-    half_deg = np.degrees(np.arctan(mirror_tangent(roughness)))
-    return np.interp(half_deg, (NARROW_DEG, WIDE_DEG), (0.0, 1.0))
 
 
 class MaterialLobes:

@@ -30,10 +30,9 @@ class Environment:
     ) -> None:
         from scipy.ndimage import maximum_filter
 
-        self._narrow, self._broad = (np.asarray(cube, float) for cube in cubes)
-        self.turn = np.asarray(turn, float)
-        self._size = self._broad.shape[1]
-        grey = self._broad @ GREY
+        self._cubes = cubes
+        self.turn, self._size = np.asarray(turn, float), cubes[1].shape[1]
+        grey = cubes[1] @ GREY
         solid = np.tile(solid_angles(self._size), (6, 1, 1))
         mean = float((grey * solid).sum() / solid.sum())
         self.bright = mean > 0 and float(grey.max()) > BRIGHT * mean
@@ -41,13 +40,13 @@ class Environment:
         chance = (maximum_filter(grey, (1, 3, 3)) + FLOOR * mean) * solid
         self._chance = divide(chance, chance.sum()).ravel()
         self._up_to = np.cumsum(self._chance)
+        self._corners = on_faces(np.linspace(-1, 1, self._size + 1))
 
     def radiance(self, directions: np.ndarray, wide: np.ndarray) -> np.ndarray:
         """(n, 3) in unit directions. wide (n, 3) : 0 as a mirror sees it, 1 as a matt surface
         does"""
         turned = directions @ self.turn.T
-        narrow = look_up(self._narrow, turned)
-        broad = look_up(self._broad, turned)
+        narrow, broad = (look_up(cube, turned) for cube in self._cubes)
         return np.asarray(narrow + wide * (broad - narrow))
 
     def density(self, directions: np.ndarray) -> np.ndarray:
@@ -64,16 +63,12 @@ class Environment:
 
     def samples(self, numbers: np.ndarray) -> np.ndarray:
         """(m, 3) unit directions, more where it is brighter, from numbers (m, 2) in [0, 1)."""
-        first, second = numbers.T
-        n = self._size
-        x = first * self._up_to[-1]
-        texel = np.searchsorted(self._up_to, x, side="right")
-        texel = np.minimum(texel, len(self._up_to) - 1)
-        left = divide(self._up_to[texel] - x, self._chance[texel])
+        n, corners = self._size, self._corners
+        x, down = numbers[:, :1] * self._up_to[-1], numbers[:, 1:]
+        texel = np.searchsorted(self._up_to[:-1], x[:, 0], side="right")
+        left = divide(self._up_to[texel, None] - x, self._chance[texel, None])
         face, row, column = np.unravel_index(texel, (6, n, n))
-        (first, across), (below, _) = np.moveaxis(on_faces(np.array([-1.0, 1])), 0, 2)
-        along = (column + 1 - np.clip(left, 1e-9, 1)) / n
-        down = (row + second) / n
-        d = first[face] + along[:, None] * (across - first)[face]
-        d += down[:, None] * (below - first)[face]
+        first = corners[face, row, column]
+        d = first + down * (corners[face, row + 1, column] - first)
+        d += np.clip(left, 0, 1) * (corners[face, row, column + 1] - first)
         return np.asarray(normalise(d) @ self.turn)

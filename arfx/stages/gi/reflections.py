@@ -18,7 +18,6 @@ from arfx.core.pose import Pose
 from arfx.core.vectors import dot, minus, mixed, placed, scaled, turned, unit
 from arfx.stages.gi.background import Background, behind_object
 from arfx.stages.gi.gloss import mirror_tangent, widened_roughness
-from arfx.stages.light.planes import BEHIND
 from arfx.stages.light.split_sum import split_sum
 from arfx.stages.light.transport import Transport
 from arfx.stages.lightmap.shading import SMOOTHEST, Surface, reflected_shares
@@ -56,11 +55,8 @@ class Sight:
         face, distance = rays.first_hits(starts, directions)
         met = np.flatnonzero(face >= 0)
         planes = self.transport.planes
-        for axes in planes.axes:
-            down = -(directions[met] @ axes[3])
-            height = (starts[met] - axes[0]) @ axes[3]
-            hides = (down > 0) & (height > -BEHIND * planes.half_m)
-            met = met[~hides | (distance[met] * down <= height + rays.lift_m)]
+        _, plane_m = planes.first_met(starts[met], directions[met])
+        met = met[distance[met] <= plane_m + rays.lift_m]
         face = face[met]
         places = starts[met] + distance[met, None] * directions[met]
         along = (rays.normals[face] * directions[met]).sum(1, keepdims=True)

@@ -24,7 +24,7 @@ import numpy as np
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, packed
 from arfx.core.memo import memo_of
-from arfx.core.numerics import divide, normalise
+from arfx.core.numerics import divide
 from arfx.core.pixels import Pixels
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
@@ -44,7 +44,7 @@ from arfx.stages.gi.plane_change import (
     DARKEST,
     add_change,
     change_textures,
-    shown_planes,
+    seen_places,
     visible_radius_m,
 )
 from arfx.stages.gi.reference import trace_frame
@@ -58,12 +58,11 @@ from arfx.stages.light.planes import (
     disc_rect,
     mirror_rect,
     planes_of,
-    texel_positions,
 )
 from arfx.stages.light.region import shadow_region
 from arfx.stages.light.transport import Transport, TransportLevel
 from arfx.stages.lightmap.shading import Surface
-from arfx.stages.viewing import direction_grid, viewing
+from arfx.stages.viewing import direction_grid
 
 TRANSPORTS_KEPT = 1  # of a model: one level on its planes
 PLANE_ROUGHNESS = 0.1  # of a plane's reflection, 0 = a mirror
@@ -73,21 +72,18 @@ PLANE_ROUGHNESS = 0.1  # of a plane's reflection, 0 = a mirror
 class GiLevel:
     """shows : share of a white surface's light from which on a pixel mirrors its surroundings;
     one that mirrors less shows the light that falls on it instead
-    picture : texels a side of the picture on a plane
-    by_frame : the object gets the light of each frame's picture of the planes, else its mean
-    """
+    picture : texels a side of the picture on a plane"""
 
     transport: TransportLevel
     shows: float
     picture: int
-    by_frame: bool
 
 
 # times that the light in steps is as bright as it is, at most: near 0 its steps are larger
 _STEPS_MOST = 1.25
 LEVELS = {
-    "draft": GiLevel(TransportLevel(6000, 48, 32, 32, 3), 0.5, 64, False),
-    "standard": GiLevel(TransportLevel(24_000, 96, 64, 64, 8), SHOWS, 128, True),
+    "draft": GiLevel(TransportLevel(6000, 48, 32, 32, 3), 0.5, 64),
+    "standard": GiLevel(TransportLevel(24_000, 96, 64, 64, 8), SHOWS, 128),
 }
 
 
@@ -116,13 +112,11 @@ class GiParams(Settings):
 @dataclass(frozen=True, eq=False)
 class Prepared:
     """Of one clip, worker and level. grid : viewing directions;  soft : pictures of the
-    first plane that add up
-    positions : of the texels of the picture on the planes"""
+    first plane that add up"""
 
     grid: np.ndarray
     transport: Transport
     soft: tuple[PlaneTexture, ...]
-    positions: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +125,8 @@ class LitScene:
 
     left : of `Indirect`;  changes : of `change_textures`;  radius_m : within which they show
     received, sent (z, y, x, 3) : nodes of what falls on the object, and of what it sends
-    mean (3,), sky (6 SKY^2, 3) : radiance of planes and sky, for which they are"""
+    mean (3,), sky (6 SKY^2, 3) : radiance of planes and sky, for which they are
+    times (3,) : as bright as `received` the frame's light is"""
 
     left: np.ndarray
     changes: list[list[PlaneTexture]]
@@ -140,14 +135,7 @@ class LitScene:
     sent: np.ndarray
     mean: np.ndarray
     sky: np.ndarray
-
-    def brighter(self, times: np.ndarray) -> LitScene:
-        """In a light so many times (3,) as bright."""
-        names = "received", "sent", "mean", "sky"
-        kept = {name: getattr(self, name) for name in names}
-        return replace(
-            self, **{k: a * times.astype(a.dtype) for k, a in kept.items()}
-        )
+    times: np.ndarray
 
 
 class Gi(Stage):
@@ -202,8 +190,7 @@ class Gi(Stage):
         transport, soft = memo_of(scene.model).get(
             key, make, "transport", TRANSPORTS_KEPT
         )
-        positions = texel_positions(planes, LEVELS[level].picture)
-        return Prepared(direction_grid(scene.camera), transport, soft, positions)
+        return Prepared(direction_grid(scene.camera), transport, soft)
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
         facts, scene, frame = view.facts, view.scene, view.scene.camera.rect
@@ -213,9 +200,8 @@ class Gi(Stage):
             gloss = self.params.plane_gloss, PLANE_ROUGHNESS
             options = self.params.samples, self.params.strength, gloss, mirror
             return trace_frame(view, planes_of(scene), seen, disc, *options)
-        incoming = incoming_light(
-            view, seen, prepared.transport.planes, prepared.positions
-        )
+        side = LEVELS[view.level].picture
+        incoming = incoming_light(view, seen, prepared.transport.planes, side)
         lit = self._lit(view, prepared, incoming)
         anchor = scene.world_from_anchor.inverse()
         # light without a direction, and no radiance that is mirrored is greater
@@ -268,10 +254,13 @@ class Gi(Stage):
                 transport.grid.nodes, (indirect.received, indirect.sent)
             )
             of_planes = indirect.left, changes, radius_m
-            return LitScene(*of_planes, received, sent, mean, sky)
+            return LitScene(*of_planes, received, sent, mean, sky, times)
 
         kept: LitScene = view.memo.of_light.get(key, make)
-        return kept.brighter(times)
+        sent, mean, sky = (
+            a * times.astype(a.dtype) for a in (kept.sent, kept.mean, kept.sky)
+        )
+        return replace(kept, sent=sent, mean=mean, sky=sky, times=times)
 
     def _virtual(
         self,
@@ -289,13 +278,12 @@ class Gi(Stage):
         here, transport = now.crop(box), sight.transport
         surface = Surface(*(packed(here[Layer(name)]) for name in Surface._fields))
         left, sky = lit.left, sky_radiance(view.facts, view.scene, view.light)
-        change = np.zeros(transport.texels.shape)
-        if LEVELS[view.level].by_frame:
-            change = incoming.change(lit.mean, left)
+        change = incoming.change(lit.mean, left)
         more = transport.more_from_around(change, sky - lit.sky)
-        nodes = lit.received + transport.grid.nodes(more)
+        nodes = lit.received + transport.grid.nodes(more / lit.times)
         layers = surface.coverage, surface.normal, surface.position
         light = transport.grid.read(nodes, *layers, sight.anchor_from_world)
+        light *= lit.times.astype(np.float32)
         smooth = smooth_normal(surface.normal, here)
         if smooth is not surface.normal:
             light *= share_above_surface(surface.normal, smooth)[..., None]
@@ -345,33 +333,24 @@ class Gi(Stage):
         """The planes' mirror image of the object, less what it hides of theirs, as a share
         of the pixel.
         """
-        layers = view.layers.crop(rect)
+        layers, gloss = view.layers.crop(rect), self.params.plane_gloss
         light = layers[Layer.PLATE] - np.array(view.facts.bias_rgb, np.float32)
-        anchor_from_camera = (view.pose @ view.scene.world_from_anchor).inverse()
-        planes = sight.transport.planes
-        shares = shown_planes(layers, prepared.grid, anchor_from_camera, planes)
-        directions = viewing(prepared.grid @ anchor_from_camera.rotation.T, rect)
-        for axes, share in zip(planes.axes.astype(float), shares, strict=True):
-            normal = axes[3]
-            shown = np.ones(directions.shape[:2]) if share is None else share
-            rows = np.nonzero((directions @ normal < 0) & (shown > 0))
-            d = normalise(directions[rows].astype(float))
+        planes, lift_m = sight.transport.planes, sight.transport.rays.lift_m
+        for k, rows, shown, d, places in seen_places(
+            view, layers, prepared.grid, planes
+        ):
+            normal = planes.axes[k, 3].astype(float)
             along = d @ normal
-            height = (sight.eye - axes[0]) @ normal
-            places = sight.eye - (height / along)[:, None] * d
             a, b = gloss_weights(PLANE_ROUGHNESS, -along)
-            fresnel = self.params.plane_gloss * a + b
+            weight = self.params.strength * (gloss * a + b) * shown
             towards = d - 2 * along[:, None] * normal
-            starts = places + sight.transport.rays.lift_m * normal
-            met, sent = sight.of_object(starts, towards)
+            met, sent = sight.of_object(places + lift_m * normal, towards)
             rough = np.full(len(met), PLANE_ROUGHNESS)
             behind = behind_object(sight.background, places[met], towards[met], rough)
-            at = rows[0][met], rows[1][met]
-            weight = self.params.strength * fresnel[met] * shown[at]
-            change = (
-                weight[:, None] * (sent - behind) / np.maximum(light[at], DARKEST)
-            )
-            shadow[at] = np.clip(shadow[at] + change, 0, None)
+            here = rows[0][met], rows[1][met]
+            change = weight[met, None] * (sent - behind)
+            change /= np.maximum(light[here], DARKEST)
+            shadow[here] = np.clip(shadow[here] + change, 0, None)
 
     def _mirror_rect(self, facts: FrameFacts, scene: Scene) -> Rect:
         """Pixels in which glossy planes can mirror the object."""

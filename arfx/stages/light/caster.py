@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from arfx.core.numerics import arccos, divide, normalise, same_rows
+from arfx.core.sampling import sphere
 from arfx.core.scene import Scene
 from arfx.stages.triangles import anchor_mesh
 
@@ -144,12 +145,7 @@ def _outline(points: np.ndarray) -> np.ndarray:
     # extreme points in 400 even directions, pushed out to the planes that bound the rest: a
     # slightly larger hull
     middle = (hull.min(0) + hull.max(0)) / 2
-    i = np.arange(400) + 0.5
-    z, phi = 1 - 2 * i / 400, i * np.pi * (3 - np.sqrt(5))
-    r = np.sqrt(1 - z * z)
-    extreme = np.unique(
-        ((hull - middle) @ np.stack([r * np.cos(phi), r * np.sin(phi), z])).argmax(0)
-    )
+    extreme = np.unique(((hull - middle) @ sphere(400).T).argmax(0))
     grown = middle + (hull[extreme] - middle) * 1.02
     grown[:, 2] = np.maximum(grown[:, 2], 0)
     return grown

@@ -24,23 +24,24 @@ from arfx.errors import RenderError
 from arfx.stages.light.beams import Beam, disc_directions, rim_directions
 from arfx.stages.light.caster import Caster
 from arfx.stages.light.plane_lookup import PlaneTexture
-from arfx.stages.light.silhouette import covered_fraction, smoothed
+from arfx.stages.light.silhouette import covered_fraction
 
 _MARGIN = 3  # texels without shadow around it
 _SHIFTED = 8  # silhouettes of a lamp without a size
+_LARGE_DEG = 16  # of a lamp: a larger one has more silhouettes
 _BUNDLES = 16  # of directions of the hemisphere, each of which counts as its middle
 _LOW = 0.05  # of the extent: what lies lower may touch the plane
 # of the extent, around the contact; the outer half of it goes over to the wide texture
 _BESIDE = 0.08
 
-# blur of the soft picture beside the contact: each silhouette's own edge would show
-_EVENED_TEXELS = 2.0
+# most and least blur beside the contact
+_EVENED_TEXELS, _SHARPEST_TEXELS = 2.0, 0.3
 
 
 @dataclass(frozen=True)
 class PlaneLevel:
-    """texels : of a texture, about;  silhouettes : directions over a lamp's disc;  sky :
-    over the hemisphere
+    """texels : of a texture, about;  silhouettes : directions over the disc of a lamp that is
+    not large;  sky : over the hemisphere
     """
 
     texels: int
@@ -49,7 +50,7 @@ class PlaneLevel:
 
 
 PLANE_LEVELS = {
-    "standard": PlaneLevel(400 * 400, 16, 512),
+    "standard": PlaneLevel(400 * 400, 64, 512),
     "reference": PlaneLevel(1024 * 1024, 511, 2048),
 }
 
@@ -146,13 +147,17 @@ def soft_pictures(
         picture = soft_picture(caster, first, last, level.texels, level.sky)
         if box is None:
             for part in picture.dark:
-                border = cv2.BORDER_REPLICATE
-                cv2.GaussianBlur(
-                    part, (0, 0), _EVENED_TEXELS, part, borderType=border
-                )
+                _even(part, _EVENED_TEXELS)
         return picture
 
     return _joined_at_contact(caster, make)
+
+
+def _even(dark: np.ndarray, step_texels: float) -> None:
+    """Blurs what each silhouette's own edge would show, in place, as far as steps are apart."""
+    sigma = min(step_texels, _EVENED_TEXELS)
+    if sigma > _SHARPEST_TEXELS:
+        cv2.GaussianBlur(dark, (0, 0), sigma, dark, borderType=cv2.BORDER_REPLICATE)
 
 
 def under_light(
@@ -202,14 +207,17 @@ def beam_texture(
     low, high = spread.min(0), spread.max(0)
     points, shape, matrix = _grid(caster, low, high, level.texels, 2 * _MARGIN, axes)
     # of a lamp without a size: shifted sample points alone, antialiased
-    count = level.silhouettes if beam.size_deg > 0 else _SHIFTED
+    count = round(level.silhouettes * max(beam.size_deg / _LARGE_DEG, 1))
+    count = count if beam.size_deg > 0 else _SHIFTED
     many = disc_directions(beam, disc(count))
     displaced = -(many[:, :2] @ axes.T) / many[:, 2:]
     dark = covered_fraction(
         points, caster.edges, caster.across, many, displaced, shape
     )
-    radii = np.abs(slopes[1:] - slopes[0]).max(0)
-    dark = smoothed(dark, points, caster.above, slopes[0], radii, count)
+    if box is None:
+        # the mean distance of K points on a unit disc is sqrt(pi / K)
+        opens = np.abs(slopes[1:] - slopes[0]).max() * points[:, 2].max(initial=0)
+        _even(dark, opens * float(np.sqrt(np.pi / count)) / 4)
     return PlaneTexture(_zero_border(dark), matrix)
 
 
@@ -260,9 +268,9 @@ def plane_shadow_texture(
 def texel_places(texture: PlaneTexture) -> np.ndarray:
     """(rows, columns, 2) x and y, metres, of the texels' centres."""
     rows, columns = texture.dark.shape[-2:]
-    v, u = np.mgrid[:rows, :columns]
-    inverse = np.linalg.inv(texture.texel_from_m[:, :2])
-    return np.asarray((np.stack([u, v], -1) - texture.texel_from_m[:, 2]) @ inverse.T)
+    u, v = np.arange(columns), np.arange(rows)[:, None]
+    metres = cv2.invertAffineTransform(texture.texel_from_m)
+    return np.stack([a * u + b * v + c for a, b, c in metres], -1)
 
 
 def _inside_m(places: np.ndarray, box: Sequence[float]) -> np.ndarray:

@@ -64,6 +64,34 @@ class Planes:
         """Equal for equal planes."""
         return self.axes.tobytes(), self.half_m, self.bounds.tobytes()
 
+    def first_met(
+        self, starts: np.ndarray, directions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(plane, -1 = none; distance, inf), (...) each, of the nearest plane that rays meet
+        from its front. starts, directions (..., 3), unit : broadcast together"""
+        shape = np.broadcast_shapes(starts.shape, directions.shape)[:-1]
+        plane, nearest = np.full(shape, -1), np.full(shape, np.inf, directions.dtype)
+        for k, axes in enumerate(self.axes.astype(directions.dtype)):
+            away = starts - axes[0]
+            down, height = -(directions @ axes[3]), away @ axes[3]
+            distance = np.maximum(height, 0) / np.maximum(down, 1e-6)
+            meets = (down > 1e-6) & (distance < nearest)
+            meets &= height > -BEHIND * self.half_m
+            for axis, ends in zip(
+                axes[1:3], self.bounds[k].reshape(2, 2).T, strict=True
+            ):
+                place = away @ axis + distance * (directions @ axis)
+                meets &= (place >= ends[0]) & (place <= ends[1])
+            plane[meets], nearest[meets] = k, distance[meets]
+        return plane, nearest
+
+    def texture_places(self, places: np.ndarray, plane: np.ndarray) -> np.ndarray:
+        """(n, 2) on textures of planes (n,), in half sides from the middle, of places
+        (n, 3)."""
+        axes = self.axes.astype(float)[plane]
+        along = np.einsum("nac,nc->na", axes[:, 1:3], places - axes[:, 0])
+        return np.asarray(along / self.half_m)
+
 
 def unwarped(u: np.ndarray) -> np.ndarray:
     """The inverse of `warped`."""
@@ -209,6 +237,7 @@ def mirror_rect(
     return out.clip(frame)
 
 
+@lru_cache(maxsize=4)
 def texel_positions(planes: Planes, side: int) -> np.ndarray:
     """(p, side, side, 3) float64 metres, anchor axes, of the texels' centres."""
     t = unwarped((np.arange(side) + 0.5) / side * 2 - 1) * planes.half_m

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+import cv2
 import numpy as np
 
 from arfx.core.facts import FrameFacts
@@ -132,13 +133,8 @@ def unevenness(light: FrameLight) -> float:
 
 
 def _hull(points: np.ndarray) -> np.ndarray:
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        return points[ConvexHull(points).vertices]
-    except QhullError:  # a point, or a line
-        low, high = points.min(0), points.max(0)
-        return np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+    """(k, 2) corners of the convex hull of points (n, 2)."""
+    return cv2.convexHull(points.astype(np.float32))[:, 0].astype(float)
 
 
 def _subdivided(hull: np.ndarray) -> np.ndarray:

@@ -5,23 +5,18 @@ light and triangles that do not. Those are few (some 300 of 6,000 triangles), an
 has them, whether its surface is closed or not. Every direction shifts the texels' sample
 points a little, so that the mean over the directions is antialiased even where the object
 touches the plane and all silhouettes agree. Cost: O(directions x (texels + rows that the
-contour crosses)).
-
-K silhouettes leave K steps across a penumbra. Their distance grows with the height of what
-casts them, so a box of that width, its height read from a coarse map of the highest caster,
-turns the steps into a ramp and leaves the contact sharp."""
+contour crosses))"""
 
 # mypy: disable-error-code="no-untyped-def, assignment"
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
-from arfx.core.compiled import FAST, kernel
+from arfx.core.compiled import kernel
 from arfx.core.sampling import r2
 
 _F = np.float32
-COARSE = 8  # texels a side of a cell of the height map
+_NEAR = 1e-6  # texels: no gap between two triangles
 
 
 def covered_fraction(
@@ -107,121 +102,41 @@ def height_map(
     """(rows, columns) float32: the greatest height of the triangles at each texel's centre;
     `empty` where there is none.
 
-    u, v, height : (n,) float32 of the vertices, texels (centres at integers)"""
+    u, v, height : (n,) of the vertices, texels (centres at integers)"""
     out = np.full((rows, columns), empty, np.float32)
-    zero = np.int64(0)
     for f in range(faces.shape[0]):
         i, j, k = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
-        ua, va, ha = u[i], v[i], height[i]
-        ub, vb, hb = u[j], v[j], height[j]
-        uc, vc, hc = u[k], v[k], height[k]
-        if vb < va:
-            ua, va, ha, ub, vb, hb = ub, vb, hb, ua, va, ha
-        if vc < vb:
-            ub, vb, hb, uc, vc, hc = uc, vc, hc, ub, vb, hb
-            if vb < va:
-                ua, va, ha, ub, vb, hb = ub, vb, hb, ua, va, ha
-        first, last = (
-            max(np.int64(np.ceil(va)), zero),
-            min(np.int64(np.ceil(vc)), np.int64(rows)),
-        )
-        # of the corners in this order: rounded otherwise in another, it may be 0 in one alone
-        across = (ub - ua) * (vc - va) - (vb - va) * (uc - ua)
-        if first >= last or across == 0:
+        across, down = u[j] - u[i], v[j] - v[i]
+        far, low = u[k] - u[i], v[k] - v[i]
+        area = across * low - down * far
+        if area == 0:
             continue
-        du = ((hb - ha) * (vc - va) - (vb - va) * (hc - ha)) / across
-        dv = ((ub - ua) * (hc - ha) - (hb - ha) * (uc - ua)) / across
-        top, low = max(ha, hb, hc), min(ha, hb, hc)
-        long = (uc - ua) / (vc - va)
-        lower = (ub - ua) / (vb - va) if vb > va else _F(0)
-        upper = (uc - ub) / (vc - vb) if vc > vb else _F(0)
-        for y in range(first, last):
-            at = _F(y)
-            p = ua + (at - va) * long
-            q = ua + (at - va) * lower if at < vb else ub + (at - vb) * upper
-            x0, x1 = (
-                max(np.int64(np.ceil(min(p, q))), zero),
-                min(np.int64(np.ceil(max(p, q))), np.int64(columns)),
-            )
-            start = ha + (at - va) * dv - ua * du
-            for x in range(x0, x1):
-                # slivers have slopes without bound: never beyond the triangle's own corners
-                h = min(max(start + _F(x) * du, low), top)
-                out[y, np.uintp(x)] = max(out[y, np.uintp(x)], h)
-    return out
-
-
-def smoothed(
-    fraction: np.ndarray,
-    points: np.ndarray,
-    faces: np.ndarray,
-    slope: np.ndarray,
-    radii: np.ndarray,
-    count: int,
-) -> np.ndarray:
-    """`fraction` (rows, columns) float32 after the boxes.
-
-    points (n, 3) float32, faces, as for `covered_fraction`;  slope (2,) of the light's middle
-    radii (2,) : columns and rows by which one texel of height opens the penumbra, half its
-    width;  count : directions used
-    """
-    # the mean distance of K points on a unit disc is sqrt(pi / K): less leaves steps, more
-    # blurs beyond the true penumbra
-    half = radii * np.sqrt(np.pi / count) / 2
-    top = float(points[:, 2].max(initial=0.0))
-    if top * float(half.max()) <= 0.5:
-        return fraction
-    height = _caster_height(points, faces, slope, fraction.shape)
-    across = _boxes(fraction, _F(half[0]) * height)
-    columns = np.ascontiguousarray(across.T), np.ascontiguousarray(height.T)
-    down = _boxes(columns[0], _F(half[1]) * columns[1])
-    return np.asarray(down.T.clip(0, 1))
-
-
-def _caster_height(
-    points: np.ndarray, faces: np.ndarray, slope: np.ndarray, shape: tuple[int, ...]
-) -> np.ndarray:
-    """(rows, columns) float32 texels: height of the highest caster over each texel, of the
-    nearest one beside them.
-    """
-    rows, columns = -(-shape[0] // COARSE), -(-shape[1] // COARSE)
-    h = np.ascontiguousarray(points[:, 2])
-    u, v = (
-        (points[:, k] + _F(slope[k]) * h + 0.5) / COARSE - _F(0.5) for k in (0, 1)
-    )
-    height = height_map(u, v, h, faces, rows, columns, _F(-1))
-    empty = height < 0
-    if empty.all():
-        return np.zeros(shape, np.float32)
-    _, label = cv2.distanceTransformWithLabels(
-        empty.astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    table = np.zeros(int(label.max()) + 1, np.float32)
-    table[label[~empty]] = height[~empty]
-    grown = cv2.blur(table[label], (3, 3), borderType=cv2.BORDER_REPLICATE)
-    return cv2.resize(
-        grown, (columns * COARSE, rows * COARSE), interpolation=cv2.INTER_LINEAR
-    )[: shape[0], : shape[1]]
-
-
-@kernel(fastmath=FAST, error_model="numpy")
-def _boxes(fraction, half_width):  # pragma: no cover - compiled
-    """Mean of each row over a box about each texel, exact for parts of texels.
-
-    half_width : (rows, columns) texels"""
-    rows, columns = fraction.shape
-    half, zero, last = _F(0.5), _F(0), _F(columns)
-    out = np.empty((rows, columns), np.float32)
-    total = np.zeros(columns + 1, np.float32)
-    for y in range(rows):
-        for x in range(columns):
-            total[x + 1] = total[x] + fraction[y, x]
-        for x in range(columns):
-            r = max(half_width[y, x], half)
-            centre = _F(x) + half
-            a, b = max(centre - r, zero), min(centre + r, last)
-            ia, ib = np.int32(a), min(np.int32(b), np.int32(columns - 1))
-            low = total[ia] + (a - _F(ia)) * fraction[y, ia]
-            high = total[ib] + (b - _F(ib)) * fraction[y, ib]
-            out[y, x] = (high - low) / (b - a)
+        bottom = min(height[i], height[j], height[k])
+        top = max(height[i], height[j], height[k])
+        first = max(int(np.ceil(min(v[i], v[j], v[k]))), 0)
+        last = min(int(np.floor(max(v[i], v[j], v[k]))), rows - 1)
+        for y in range(first, last + 1):
+            # shares of the second and the third corner at column 0, and what a column adds
+            second = (-u[i] * low - (y - v[i]) * far) / area
+            third = (across * (y - v[i]) + u[i] * down) / area
+            more, less = low / area, -down / area
+            begin, end = 0.0, columns - 1.0
+            for share, slope in (
+                (second, more),
+                (third, less),
+                (1 - second - third, -more - less),
+            ):
+                if slope > 0:
+                    begin = max(begin, -share / slope)
+                elif slope < 0:
+                    end = min(end, -share / slope)
+                elif share < 0:
+                    end = -1.0
+            for x in range(
+                int(np.ceil(begin - _NEAR)), int(np.floor(end + _NEAR)) + 1
+            ):
+                h = height[i] + (second + x * more) * (height[j] - height[i])
+                h += (third + x * less) * (height[k] - height[i])
+                # slivers have slopes without bound: never beyond their own corners
+                out[y, x] = max(out[y, x], min(max(h, bottom), top))
     return out

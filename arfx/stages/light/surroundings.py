@@ -102,10 +102,7 @@ class FrameSurroundings:
         texels = self.parts.texels
         out = np.empty(texels.shape[1:], np.float32)
         for rows, roughness in zip(level_slices(), ROUGHNESSES, strict=True):
-            half_angle = np.sqrt(8) * np.arctan(roughness**2)
-            share = np.clip(
-                (half_angle - _NARROW_RAD) / (_WIDE_RAD - _NARROW_RAD), 0, 1
-            )
+            share = lobe_width(roughness)
             weights = ((1 - share) * self.narrow + share * self.wide).astype(
                 np.float32
             )
@@ -121,6 +118,14 @@ class FrameSurroundings:
     def cubes(self) -> tuple[np.ndarray, np.ndarray]:
         """As a mirror sees them, and as a matt surface does."""
         return self.cube(self.narrow), self.cube(self.wide)
+
+
+def lobe_width(roughness: np.ndarray | float) -> np.ndarray:
+    """How wide a GGX lobe sees the surroundings, by the cone that blurs as it does
+    (`gi.gloss.mirror_tangent`): 0 as a mirror, 1 as a matt surface."""
+    half_angle = np.sqrt(8) * np.arctan(np.asarray(roughness) ** 2)
+    share = (half_angle - _NARROW_RAD) / (_WIDE_RAD - _NARROW_RAD)
+    return np.clip(share, 0, 1)
 
 
 def frame_environment(facts: FrameFacts, scene: Scene, light: Light) -> Environment:

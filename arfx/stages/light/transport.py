@@ -14,7 +14,7 @@ docs/methods/gi.md#transport.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -22,10 +22,11 @@ import numpy as np
 
 from arfx.core.cube import on_cube
 from arfx.core.light import Light
-from arfx.core.numerics import divide, normalise
-from arfx.core.sampling import disc, frame_about
+from arfx.core.numerics import divide
+from arfx.core.sampling import disc
 from arfx.core.scene import Scene
-from arfx.stages.light.planes import BEHIND, Planes, texel_positions, warped
+from arfx.stages.light.beams import disc_directions, frame_light
+from arfx.stages.light.planes import Planes, texel_positions, warped
 from arfx.stages.light.surface_grid import SurfaceGrid
 from arfx.stages.light.surfels import Hits, ObjectRays, surfels_of
 
@@ -101,50 +102,42 @@ class Transport:
         self.occluded = self.grid.nodes(met[:, None])
         self.colours = self.grid.nodes(self.surfels.albedo)
         everything = self._node_count + len(self.texels) + 6 * SKY * SKY
-        row, met, *_ = self._met(traced, None)
-        self._of_surfels = self._shares(row, met, (len(points), everything))
+        row, met, *_ = self._met(traced)
+        self._of_surfels = self._shares([met], row, (len(points), everything))
         self._from_around = self._of_surfels[:, self._node_count :]
-        count, side = len(self.texels), level.side
+        shape, side = (len(self.texels), everything), level.side
         lifted = rays.over(self.texels, self._texel_normals, level.rays)
-        own = np.repeat(np.arange(len(planes.axes)), side**2)
-        row, met, behind, nearer, of_plane = self._met(lifted, own)
-        shape = count, everything
-        self._to_object = self._shares(row[nearer], met[nearer], shape)
-        self._past_object = self._shares(row[nearer], behind[nearer], shape)
-        self._beside = self._without = None
+        row, met, behind, nearer = self._met(lifted)
+        ends = met[nearer], behind[nearer]
+        self._change = self._shares(ends, row[nearer], shape)
+        self._without = None
         if len(planes.axes) > 1:
-            other = of_plane & ~nearer
-            self._beside = self._shares(row[other], behind[other], shape)
-            self._without = self._shares(row, behind, shape)
-        shares = np.bincount(row[nearer], minlength=count) / level.rays
+            self._without = self._shares([behind], row, shape)
+        shares = np.bincount(row[nearer], minlength=shape[0]) / level.rays
         self.hidden = shares.reshape(-1, side, side)
 
-    def _met(
-        self, traced: Iterable[Hits], own: np.ndarray | None
-    ) -> list[np.ndarray]:
+    def _met(self, traced: Iterable[Hits]) -> list[np.ndarray]:
         """Of every ray, (rays,) each: its place's row; the column of what it meets, and of
-        what it would meet without the object; whether it meets the object, and whether a
-        plane is behind. own : as of `_beyond`, of all rows
-        """
+        what it would meet without the object; whether it meets the object."""
         parts = []
         for hits in traced:
-            behind, distance = self._beyond(
-                hits, None if own is None else own[hits.rows]
-            )
+            behind, distance = self._beyond(hits)
             nearer, met = hits.distance < distance, behind.copy()
             met[nearer] = self._nodes_met(hits, nearer)
             row = np.repeat(np.arange(hits.rows.start, hits.rows.stop), met.shape[1])
-            fields = met, behind, nearer, np.isfinite(distance)
-            parts.append([row, *(a.ravel() for a in fields)])
+            parts.append([row, *(a.ravel() for a in (met, behind, nearer))])
         return [np.concatenate(a) for a in zip(*parts, strict=True)]
 
     def _shares(
-        self, row: np.ndarray, column: np.ndarray, shape: tuple[int, int]
+        self, columns: Sequence[np.ndarray], row: np.ndarray, shape: tuple[int, int]
     ) -> csr_array:
+        """Of rays (n,): the share of each, at the first of `columns`, less it at the second."""
         from scipy.sparse import csr_array
 
         share = np.full(len(row), 1 / self.level.rays, np.float32)
-        return csr_array((share, (row, column)), shape=shape)
+        shares = np.concatenate([share, -share][: len(columns)])
+        entries = np.tile(row, len(columns)), np.concatenate(columns)
+        return csr_array((shares, entries), shape=shape)
 
     def _nodes_met(self, hits: Hits, nearer: np.ndarray) -> np.ndarray:
         """Node of the grid beside each place of the object that rays meet."""
@@ -156,43 +149,22 @@ class Transport:
             starts + hits.distance[nearer][:, None] * directions, facing * normals
         )
 
-    def _beyond(
-        self, hits: Hits, own: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """(column (n, k), distance (n, k)) of the plane or sky that rays meet without the object.
-
-        own (n,) : the plane on which a place lies, which its rays do not meet"""
-        first_sky = self._node_count + len(self.texels)
-        column = first_sky + sky_texels(hits.directions)
-        nearest = np.full(column.shape, np.inf, np.float32)
-        for k, axes in enumerate(self.planes.axes):
-            down = -(hits.directions @ axes[3])
-            height = (hits.starts - axes[0]) @ axes[3]
-            distance = np.maximum(height, 0) / np.maximum(down, 1e-6)
-            meets = (down > 1e-6) & (distance < nearest)
-            meets &= height > -BEHIND * self.planes.half_m
-            if own is not None:
-                meets &= (own != k)[:, None]
-            row, ray = np.nonzero(meets)
-            place = hits.starts[row, 0] - axes[0]
-            place = place + distance[row, ray][:, None] * hits.directions[row, ray]
-            u, v = place @ axes[1], place @ axes[2]
-            x0, y0, x1, y1 = self.planes.bounds[k]
-            inside = (u >= x0) & (v >= y0) & (u <= x1) & (v <= y1)
-            row, ray, u, v = row[inside], ray[inside], u[inside], v[inside]
-            column[row, ray] = self._node_count + self._texel(k, u, v)
-            nearest[row, ray] = distance[row, ray]
-        return column, nearest
-
-    def _texel(self, plane: int, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Number of the texel of a plane at places, metres along its axes; the outermost
-        beyond it.
+    def _beyond(self, hits: Hits) -> tuple[np.ndarray, np.ndarray]:
+        """(column (n, k), distance (n, k)) of the plane or sky that rays meet without the
+        object.
         """
-        side, half = self.level.side, self.planes.half_m
-        x, y = (warped(np.clip(a / half, -1, 1)) for a in (u, v))
-        column = np.minimum((x + 1) / 2 * side, side - 1).astype(int)
-        row = np.minimum((y + 1) / 2 * side, side - 1).astype(int)
-        return np.asarray((plane * side + row) * side + column)
+        plane, distance = self.planes.first_met(hits.starts, hits.directions)
+        column = self._node_count + len(self.texels) + sky_texels(hits.directions)
+        met = plane >= 0
+        starts = np.broadcast_to(hits.starts, hits.directions.shape)[met]
+        places = starts + distance[met][:, None] * hits.directions[met]
+        on_plane = np.clip(self.planes.texture_places(places, plane[met]), -1, 1)
+        # the outermost texel beyond a texture
+        side = self.level.side
+        across = (warped(on_plane) + 1) / 2 * side
+        x, y = np.minimum(across, side - 1).astype(int).T
+        column[met] = self._node_count + (plane[met] * side + y) * side + x
+        return column, distance
 
     def solve(
         self, scene: Scene, light: Light, picture: np.ndarray, sky: np.ndarray
@@ -206,30 +178,25 @@ class Transport:
         alone = np.maximum(light.radiance(normals), _LEAST_TOTAL)
         total, extra, beside = alone, np.zeros_like(alone), np.zeros_like(alone)
         unseen = np.zeros((self._node_count, 3), np.float32)
-        undisturbed = _stacked(unseen, picture, sky)
         if self._without is not None:
             soft = light.soft_radiance(normals)
-            total = np.maximum(
-                alone + self._without @ undisturbed - soft, _LEAST_TOTAL
-            )
+            around = self._without @ _stacked(unseen, picture, sky)
+            total = np.maximum(alone + around - soft, _LEAST_TOTAL)
             # a lamp's shadow on the first plane is drawn as if no other plane hid soft
             # light that is left in it
             first = np.arange(len(total)) < self.level.side**2
             extra = np.where(first[:, None], shadow * (total / alone - 1), 0)
         base = 1 - np.minimum(shadow / total, 1)
-        lost = self._past_object @ undisturbed
         direct = surfels.matt * on_surfels + surfels.emission
-        sent, left, gain = direct, base, -lost
-        received = np.zeros_like(sent)
+        sent, left = direct, base
         for _ in range(self.level.bounces + 1):
             nodes = self.grid.nodes(sent).reshape(-1, 3)
             arriving = _stacked(nodes, picture * left, sky)
             received = self._of_surfels @ arriving
-            gain = self._to_object @ arriving - lost
-            if self._beside is not None:
-                beside = self._beside @ _stacked(
-                    unseen, picture * (left - 1), np.zeros_like(sky)
-                )
+            gain = self._change @ arriving
+            if self._without is not None:
+                change = _stacked(unseen, picture * (left - 1), 0 * sky)
+                beside = self._without @ change
             left = np.clip(base + divide(gain + beside, total), 0, None)
             before, sent = sent, surfels.albedo * received + direct
             if np.abs(sent - before).max() <= _SETTLED * sent.max():
@@ -250,27 +217,16 @@ class Transport:
         """(light on surfels (n, 3), light that texels lose (m, 3)), of white surfaces, by
         lamps alone.
         """
-        turn, rays, surfels = (
-            scene.world_from_anchor.rotation.T,
-            self.rays,
-            self.surfels,
-        )
+        rays, surfels = self.rays, self.surfels
         points = surfels.points + rays.lift_m * surfels.normals
         texels = self.texels + rays.lift_m * self._texel_normals
-        on_surfels, shadow = (
-            np.zeros(surfels.points.shape),
-            np.zeros(self.texels.shape),
-        )
-        for lamp in light.lights:
-            towards, rgb = turn @ lamp.unit, np.clip(lamp.rgb, 0, None)
-            if not np.isfinite(rgb).all() or not rgb.any() or towards[2] <= 0:
+        on_surfels, shadow = np.zeros(points.shape), np.zeros(texels.shape)
+        lamps = frame_light(light, scene.world_from_anchor, False, True)
+        for beam, rgb in zip(lamps.beams, lamps.rgb, strict=True):
+            towards = np.array(beam.direction)
+            if towards[2] <= 0:
                 continue
-            radius = np.tan(
-                np.radians(np.clip(np.nan_to_num(lamp.angular_size_deg), 0, 90) / 2)
-            )
-            u, v = frame_about(towards)
-            spots = radius * disc(_LAMP_RAYS)
-            many = normalise(towards + spots[:, :1] * u + spots[:, 1:] * v)
+            many = disc_directions(beam, disc(_LAMP_RAYS), over_plane=False)
             facing = np.clip(surfels.normals @ towards, 0, None)
             lit = np.flatnonzero(facing)
             facing[lit] *= rays.open_fraction(points[lit], many)

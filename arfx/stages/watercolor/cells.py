@@ -88,7 +88,7 @@ def neighbours(
     side = max(REACH * spacing, extent.max() / 8192, float(STEPS))
     columns, rows = (int(along // side) + 1 for along in extent)
     left, top, side_px = (float(along) / STEPS for along in (*corner, side))
-    start, order = bucket_sites(x, y, left, top, side_px, rows, columns)
+    start, order = bucket_sites((x, y), (left, top), side_px, rows, columns)
     sharp = np.float32(1 / REACH**2) / (size[order] ** 2)
     sites = np.stack([*(places - corner[:, None]).take(order, 1), sharp])
     grid = start, order, np.float32(side), rows, columns

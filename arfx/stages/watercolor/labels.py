@@ -108,11 +108,11 @@ def _bucketed(sites: Sites, rect: Rect, wobble: Wobble) -> tuple[Buckets, int, i
     side = int(max(1, min(round(1.5 * spacing), max(rect.width, rect.height))))
     rows, columns = -(-(rect.height - y) // side), -(-(rect.width - x) // side)
     left, top = rect.x0 + x, rect.y0 + y
-    corner = float(left), float(top), float(side)
-    start, order = bucket_sites(sites.x, sites.y, *corner, rows, columns)
+    places = sites.x, sites.y
+    start, order = bucket_sites(places, (left, top), side, rows, columns)
     position = np.zeros((3, len(sites) + STEP), np.float32)
-    places = sites.x - STEPS * left, sites.y - STEPS * top, sites.weight
-    position[:, : len(sites)] = np.stack(places)[:, order]
+    moved = sites.x - STEPS * left, sites.y - STEPS * top, sites.weight
+    position[:, : len(sites)] = np.stack(moved)[:, order]
     return Buckets(position, order, start, side, rows, columns), x, y
 
 
@@ -156,28 +156,25 @@ def label(
     return Labels(first, second, inside, n)
 
 
-@kernel()
-def bucket_sites(sx, sy, x0, y0, side, rows, columns):  # pragma: no cover - compiled
+def bucket_sites(
+    sites: tuple[np.ndarray, np.ndarray],
+    corner: tuple[float, float],
+    side: float,
+    rows: int,
+    columns: int,
+) -> tuple[np.ndarray, np.ndarray]:
     """(start (rows columns + 1), order (n,)) : sites by bucket, in each by number.
 
-    Sites outside count to the nearest bucket. sx, sy : 1/STEPS px;  x0, y0, side : px"""
-    n = sx.shape[0]
-    start = np.zeros(rows * columns + 1, np.int32)
-    bucket = np.empty(n, np.int32)
-    for k in range(n):
-        i = np.int64(np.floor((sy[k] / STEPS - y0) / side))
-        j = np.int64(np.floor((sx[k] / STEPS - x0) / side))
-        row = min(max(i, 0), rows - 1)
-        bucket[k] = row * columns + min(max(j, 0), columns - 1)
-        start[bucket[k] + 1] += 1
-    for k in range(rows * columns):
-        start[k + 1] += start[k]
-    free = start[:-1].copy()
-    order = np.empty(n, np.int32)
-    for k in range(n):
-        order[free[bucket[k]]] = k
-        free[bucket[k]] += 1
-    return start, order
+    Sites outside count to the nearest bucket. sites : x, y, 1/STEPS px;  corner, side : px"""
+    x, y = (
+        np.floor((np.asarray(along, float) / STEPS - first) / side)
+        for along, first in zip(sites, corner, strict=True)
+    )
+    bucket = np.clip(y, 0, rows - 1) * columns + np.clip(x, 0, columns - 1)
+    bucket = bucket.astype(np.int32)
+    ends = np.cumsum(np.bincount(bucket, minlength=rows * columns))
+    start = np.concatenate([[0], ends]).astype(np.int32)
+    return start, np.argsort(bucket, kind="stable").astype(np.int32)
 
 
 @kernel()

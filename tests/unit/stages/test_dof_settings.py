@@ -25,7 +25,8 @@ from arfx.stages.dof.params import (
     focus_keys,
     interpolate,
 )
-from arfx.stages.dof.planes import between_nodes, direction_grid, plane_of, real_scene
+from arfx.stages.dof.planes import direction_grid, plane_of, real_scene
+from arfx.stages.viewing import between_nodes
 from tests.scenes import facts, look_at, scene
 from tests.unit.stages.dof_scenes import Shot, blurred, shot
 

@@ -20,11 +20,11 @@ from arfx.stages.gi.reference_lobes import (
     Lobes,
     MaterialLobes,
     PlaneLobes,
-    lobe_width,
 )
 from arfx.stages.gi.reference_scene import RayScene
 from arfx.stages.gi.reference_sky import Environment
 from arfx.stages.light.surfels import wrapped
+from arfx.stages.light.surroundings import lobe_width
 from tests.unit.stages.gi_scenes import (
     BLACK,
     EVEN,

@@ -10,7 +10,7 @@ from arfx.core.camera import Camera
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.rect import Rect
 from arfx.stages.light.plane_lookup import PlaneTexture, PlaneView, shadow_ratio
-from arfx.stages.viewing import direction_grid, viewing
+from arfx.stages.viewing import between_nodes, direction_grid
 
 FAINT = 0.02
 
@@ -61,7 +61,10 @@ def plainly(
     rect: Rect, grid: np.ndarray, anchor_from_camera: Pose, textures: list[PlaneTexture], shares: np.ndarray,
     blocked: PlaneTexture | None, strength: float,
 ) -> np.ndarray:  # fmt: skip
-    d = viewing(grid, rect).astype(float) @ anchor_from_camera.rotation.T
+    d = (
+        between_nodes(grid.astype(np.float32), rect).astype(float)
+        @ anchor_from_camera.rotation.T
+    )
     with np.errstate(all="ignore"):
         s = np.where(
             d[..., 2] < 0, -anchor_from_camera.translation_m[2] / d[..., 2], np.nan
@@ -123,7 +126,10 @@ def test_every_pixel_is_what_it_is_plainly(seed: int) -> None:
     several = 1 + seed % 3
     far, texel_m = np.zeros(2), 0.002
     if seed >= 8:  # just below the horizon
-        d = viewing(grid, cam.rect).astype(float) @ pose.rotation.T
+        d = (
+            between_nodes(grid.astype(np.float32), cam.rect).astype(float)
+            @ pose.rotation.T
+        )
         row, column = max(
             zip(*np.nonzero(d[..., 2] < -0.05), strict=True),
             key=lambda at: d[at[0], at[1], 2],

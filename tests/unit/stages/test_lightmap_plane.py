@@ -71,7 +71,7 @@ def reference(
         for i, d in zip(pick, to_eye, strict=True)
     ]
     pick = pick[np.array(seen)]
-    return pick, true_ratio(light, HIDES[name], points[pick])
+    return pick, true_ratio(light, HIDES[name], points[pick], 32)
 
 
 def errors(
