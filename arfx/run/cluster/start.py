@@ -19,10 +19,9 @@ from arfx.errors import ConfigError
 from arfx.media.writer import chunk_suffix
 from arfx.run.analysis import Run
 from arfx.run.cluster.agreement import OPENGL, OPENS, environment
-from arfx.run.cluster.crew import Crew
-from arfx.run.cluster.dispatch import Dispatch
 from arfx.run.cluster.files import bundles
 from arfx.run.cluster.paths import PathMap, is_url, places
+from arfx.run.cluster.pool import Pool
 from arfx.run.cluster.remote import JobReference
 from arfx.run.cluster.spec import ADDRESS, LOCAL, ClusterSpec, library
 from arfx.run.cluster.store import Store
@@ -46,7 +45,7 @@ class Cluster:
     """A cluster that is there. workers : how many stretches or chunks are done at once, as
     far as that is known
 
-    own : as in Dispatch"""
+    own : as of `Pool`"""
 
     def __init__(
         self,
@@ -59,16 +58,16 @@ class Cluster:
         self._client, self._maps, self._notice, self._own = client, maps, notice, own
         self.workers = spec.workers
         if spec.kind == ADDRESS:
-            crew = Crew(client, environment(), None, notice)
-            crew.gathered()
-            crew.check()  # before any work, if none of its workers can be used
-            self.workers = crew.slots or 1
+            pool = Pool(client, environment(), None, notice)
+            pool.look()
+            pool.check()  # before any work, if none of its workers can be used
+            self.workers = pool.slots or 1
 
     def render(self, tasks: Sequence[Task], progress: Done, job: Job) -> Results:
-        """Render the tasks of a job whose folder this process holds; see `Dispatch.results`."""
+        """Render the tasks of a job whose folder this process holds; see `Pool.results`."""
         suffix = chunk_suffix(job.inputs.output)
-        with self._dispatch(job.inputs, job.folder, job.key, suffix) as dispatch:
-            yield from dispatch.results(tasks, progress, self.workers)
+        with self._pool(job.inputs, job.folder, job.key, suffix) as pool:
+            yield from pool.results(tasks, progress, self.workers)
 
     def analysing(
         self, inputs: Inputs, folder: JobFolder, key: str, here: Run
@@ -85,39 +84,30 @@ class Cluster:
             if count <= 1:
                 yield from here(tasks, count, frames, progress)
                 return
-            with self._dispatch(inputs, folder, key, None) as dispatch:
-                dispatch.crew.gathered(lambda: progress(0))
-                if why := dispatch.crew.refusal():
+            with self._pool(inputs, folder, key, None) as pool:
+                pool.look()
+                if why := pool.refusal():
                     self._notice(f"this machine analyses the clip alone: {why}")
                     yield from here(tasks, count, frames, progress)
                 else:
-                    yield from dispatch.results([*tasks], progress, self.workers)
+                    yield from pool.results([*tasks], progress, self.workers)
 
         return run
 
     @contextlib.contextmanager
-    def _dispatch(
+    def _pool(
         self, inputs: Inputs, folder: JobFolder, key: str, suffix: str | None
-    ) -> Iterator[Dispatch]:
-        """A job placed where workers find it. If that is a store, the job's files are put
-        there, and it is emptied when the body is done.
+    ) -> Iterator[Pool]:
+        """Of a job that is placed where workers find it. If that is a store, the job's
+        files are put there, and it is emptied when the body is done.
 
         key, suffix : as of `JobReference`
         """
         folders = places(folder.path.absolute(), self._maps)
-        seen, rendering = (
-            [there for there in folders if not is_url(there)],
-            suffix is not None,
-        )
-        store = next(
-            (
-                Store(f"{there.rstrip('/')}/{key}")
-                for there in folders
-                if is_url(there)
-            ),
-            None,
-        )
-        if store is not None:
+        seen = [there for there in folders if not is_url(there)]
+        store, rendering = None, suffix is not None
+        if len(seen) < len(folders):
+            store = Store(f"{folders[len(seen)].rstrip('/')}/{key}")
             store.put_job(folder, rendering)
             seen.append(store.url)
         files = bundles(inputs, self._maps, rendering)
@@ -125,12 +115,10 @@ class Cluster:
             f"arfx-{uuid.uuid4().hex}", key, suffix, tuple(seen), files
         )
         plugins = [name for name in pipeline(inputs.config) if name in STAGES.plugins]
-        notice = self._notice if rendering else lambda _: None
         here = environment(plugins, not rendering)
         if rendering and inputs.config.params["raster"].backend == "pyrender":
             here[OPENGL] = OPENS
-        crew = Crew(self._client, here, job, notice)
-        yield Dispatch(self._client, crew, job, store, self._own, self._notice)
+        yield Pool(self._client, here, job, self._notice, store, self._own)
         if store is not None:
             store.take_previews(folder.previews)
             store.remove()

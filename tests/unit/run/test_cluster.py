@@ -309,35 +309,6 @@ def reference(work: str = CHUNK) -> remote.JobReference:
     )
 
 
-def test_a_worker_leaves_a_chunk_that_nobody_wants(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Also when the client was killed: Dask cancels its tasks then."""
-    events: list[dict[str, Any]] = []
-    worker = SimpleNamespace(
-        name="w", state=SimpleNamespace(tasks={"token": SimpleNamespace(state="cancelled")}),
-        get_current_task=lambda: "token", log_event=lambda topic, said: events.append(said),
-    )  # fmt: skip
-
-    def render_chunk(*arguments: Any, paths: Any) -> dict[str, Any]:
-        for _ in range(1000):
-            arguments[5]()
-        return {}
-
-    monkeypatch.setattr(remote, "_worker", lambda: worker)
-    monkeypatch.setattr(remote, "render_chunk", render_chunk)
-    monkeypatch.setattr(remote, "TELL_S", 0.0)
-    monkeypatch.setitem(
-        remote._placed, "run", remote._Placed(reference(), JobFolder(tmp_path), ())
-    )
-    with pytest.raises(remote.UnwantedError):
-        remote.work("run", [(0, 29, "name")])
-    assert not events
-    worker.state.tasks["token"].state = "executing"
-    remote.work("run", [(0, 29, "name")])
-    assert {"first": 0, "frames": 1000} in events
-
-
 def test_a_full_disk_on_a_worker_ends_the_job_with_its_own_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -345,10 +316,6 @@ def test_a_full_disk_on_a_worker_ends_the_job_with_its_own_error(
     cannot be sent, as FFmpeg's cannot.
     """
     from distributed.core import clean_exception, error_message
-
-    worker = SimpleNamespace(
-        name="w", get_current_task=lambda: "token", log_event=lambda topic, said: None
-    )
 
     def render_chunk(*arguments: Any, paths: Any) -> dict[str, Any]:
         try:
@@ -358,7 +325,7 @@ def test_a_full_disk_on_a_worker_ends_the_job_with_its_own_error(
                 f"cannot be written: {e.strerror}", "free space"
             ) from None
 
-    monkeypatch.setattr(remote, "_worker", lambda: worker)
+    monkeypatch.setattr("distributed.get_worker", lambda: SimpleNamespace(name="w"))
     monkeypatch.setattr(remote, "render_chunk", render_chunk)
     monkeypatch.setitem(
         remote._placed, "run", remote._Placed(reference(), JobFolder(tmp_path), ())
@@ -378,14 +345,11 @@ def test_what_ends_a_stretch_says_the_same_from_a_worker(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where times of frames go back, the clip is analysed in one piece."""
-    worker = SimpleNamespace(
-        name="w", get_current_task=lambda: "token", log_event=lambda topic, said: None
-    )
 
     def analyse_stretch(*arguments: Any, paths: Any) -> dict[str, Any]:
         raise FrameTimesError("frame times go backwards")
 
-    monkeypatch.setattr(remote, "_worker", lambda: worker)
+    monkeypatch.setattr("distributed.get_worker", lambda: SimpleNamespace(name="w"))
     monkeypatch.setattr(remote, "analyse_stretch", analyse_stretch)
     monkeypatch.setitem(
         remote._placed,

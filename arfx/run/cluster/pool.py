@@ -1,0 +1,205 @@
+"""The workers of a cluster, and what they do of one job: chunks, or stretches of the
+analysis. Dask gives these out to workers that may work, and again where one is lost."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from arfx.core import interrupt
+from arfx.errors import RenderError
+from arfx.run.cluster import remote
+from arfx.run.cluster.store import Store
+from arfx.run.executors import Done, Results, Task
+from arfx.run.folder import JobFolder
+
+ROUND_S = 0.05
+LOOK_S = 1.0  # between two looks at who is there
+SILENT_S = 5.0  # a scheduler that says nothing for so long is gone
+ARRIVE_S = 20.0  # until a file that a worker has written is seen here
+START_S = 120.0  # for workers that were started here to be there
+MOST = 4  # consecutive chunks at once: a worker reads on from one to the next
+
+
+class Pool:
+    """The workers that may work for one job.
+
+    here : this process's `environment`;  job : None = only that is compared
+    store : where files go that workers write, if not into the job folder
+    own : whether workers that were started here run, or may yet; None = they are others'
+    notice : is told of workers that render nothing"""
+
+    def __init__(
+        self,
+        client: Any,
+        here: Mapping[str, str],
+        job: remote.JobReference | None,
+        notice: Callable[[str], None],
+        store: Store | None = None,
+        own: Callable[[], bool] | None = None,
+    ) -> None:
+        self._client, self._here, self._job, self._notice = client, here, job, notice
+        self._store, self._own = store, own
+        # a worker that may not analyse may render
+        self._says_refusals = job is None or job.suffix is not None
+        self._threads: Mapping[str, int] = {}  # by address
+        self._refused: dict[str, str] = {}  # by address; "" = it may work
+        self._looked = -LOOK_S
+
+    def look(self) -> None:
+        """See who is there, and ask who is new. Raises RenderError where the scheduler is
+        gone."""
+        self._check_connection()
+        if time.monotonic() < self._looked + LOOK_S:
+            return
+        try:
+            threads = self._client.nthreads(callback_timeout=SILENT_S)
+            new = [*(threads.keys() - self._refused.keys())]
+            answers = self._client.run(
+                remote.examine, self._here, self._job, workers=new, on_error="return"
+            )
+        except (
+            OSError,
+            TimeoutError,
+        ):  # distributed's errors of connections are both
+            raise self._lost() from None
+        self._looked = time.monotonic()
+        for address, answer in answers.items():
+            name, why = answer if isinstance(answer, tuple) else (address, "")
+            if isinstance(answer, Exception):  # arfx is not there, or is another
+                why = f"it does not answer as arfx does: {type(answer).__name__}: {answer}"
+            if why and self._says_refusals:
+                self._notice(f"worker {name} gets no work: {why}")
+            self._refused[address] = why and f"{name}: {why}"
+        self._threads = threads
+        self._refused = {address: self._refused[address] for address in threads}
+
+    @property
+    def slots(self) -> int:
+        """Tasks at once, of the workers that may work."""
+        return sum(self._threads[a] for a, why in self._refused.items() if not why)
+
+    def refusal(self) -> str:
+        """Why every worker that there is has been refused; "" where that is not so."""
+        reasons = self._refused.values()
+        return "; ".join(dict.fromkeys(reasons)) if all(reasons) else ""
+
+    def check(self) -> None:
+        """Raises RenderError where every worker that there is has been refused."""
+        if why := self.refusal():
+            raise RenderError(
+                f"no worker may render: {why}",
+                "the same arfx, Python and libraries on all machines; --map-path HERE=THERE"
+                " where paths are others",
+            )
+
+    def results(self, tasks: Sequence[Task], progress: Done, workers: int) -> Results:
+        """Have the tasks done. workers : how many there may be
+
+        Raises RenderError: a chunk that lost too many workers, no worker that may render,
+        no scheduler; what a worker raises. On the way out what has not begun is dropped."""
+        done, left = 0, list[Task]()
+        for task in tasks:
+            if file := self._taken(task):
+                done += task[3] - task[2] + 1
+                yield {"file": file, "first": task[2], "last": task[3]}
+            else:
+                left.append(task)
+        self.look()
+        size = min(max(len(left) // (2 * max(workers, 1)), 1), MOST)
+        runs = [left[k : k + size] for k in range(0, len(left), size)]
+        waiting = {self._submit(run): run for run in runs}
+        working, told = time.monotonic(), False
+        try:
+            while waiting:
+                self.look()
+                if self.slots:
+                    working, told = time.monotonic(), False
+                elif not told:
+                    told = self._check_coming(time.monotonic() - working)
+                for future in [f for f in waiting if f.done()]:
+                    run = waiting.pop(future)
+                    for task, result in zip(
+                        run, self._result(future, run), strict=True
+                    ):
+                        self._await_file(task, result["file"])
+                        done += task[3] - task[2] + 1
+                        yield result
+                progress(done)
+                time.sleep(ROUND_S)
+        finally:
+            with interrupt.deferred(), contextlib.suppress(Exception):
+                self._client.cancel([*waiting], force=True)
+
+    def _submit(self, run: Sequence[Task]) -> Any:
+        assert self._job is not None
+        return self._client.submit(
+            remote.work,
+            self._job.run,
+            [(first, last, Path(target).name) for _, _, first, last, target in run],
+            resources={self._job.run: 1},
+            pure=False,
+        )
+
+    def _result(self, future: Any, run: Sequence[Task]) -> Sequence[dict[str, Any]]:
+        self._check_connection()
+        if future.status == "cancelled":
+            raise self._lost()
+        try:
+            results: Sequence[dict[str, Any]] = future.result()
+            return results
+        except Exception as e:
+            if type(e).__name__ != "KilledWorker":
+                raise
+            raise RenderError(
+                f"frames {run[0][2]}–{run[-1][3]}: too many workers were lost with them,"
+                f" the last at {e.args[1].address}",
+                "out of memory? --resume goes on; as many are allowed as Dask's"
+                " distributed.scheduler.allowed-failures says",
+            ) from None
+
+    def _taken(self, task: Task) -> str | None:
+        """The name of a task's file that was in the store, and is in the job folder now."""
+        if self._store is None or self._job is None:
+            return None
+        target = Path(task[-1])
+        folder = JobFolder(target.parents[1])
+        path = self._store.take(target.name, self._job.suffix, folder)
+        return None if path is None else path.name
+
+    def _await_file(self, task: Task, file: str) -> None:
+        """A shared disk may show a file later than the worker that wrote it."""
+        folder, began = Path(task[-1]).parent, time.monotonic()
+        while not (folder / file).exists() and not self._taken(task):
+            if time.monotonic() - began > ARRIVE_S:
+                raise RenderError(
+                    f"a worker has written {file}, and it is not in {folder}",
+                    "--map-path has to name the same folder on the workers",
+                )
+            time.sleep(ROUND_S)
+
+    def _check_coming(self, idle_s: float) -> bool:
+        """Nobody may work. Returns whether that was said, and can only be waited for."""
+        self.check()
+        if self._own is None:
+            self._notice("the cluster has no worker: waiting for one")
+            return True
+        if not self._own() or idle_s > START_S:
+            raise RenderError(
+                "no worker of the local cluster starts",
+                "--workers N renders without a cluster",
+            )
+        return False
+
+    def _check_connection(self) -> None:
+        if self._client.status != "running":
+            raise self._lost()
+
+    def _lost(self) -> RenderError:
+        return RenderError(
+            f"the connection to the scheduler at {self._client.scheduler.address} is lost",
+            "what is done is kept; --resume goes on, with the same cluster or another",
+        )
