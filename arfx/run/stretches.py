@@ -40,7 +40,7 @@ from arfx.media.pose_files import CameraPath
 from arfx.run.folder import JobFolder, write
 from arfx.run.memory import peak_mb
 from arfx.run.parameters import required_facts
-from arfx.run.source import stretch_at
+from arfx.run.source import clip_frames, keep_frame
 from arfx.run.worker import Paths, frozen_job, keep_memory, who
 
 LEAST_FRAMES = 120  # of a stretch: shorter ones would cost more than they save
@@ -325,11 +325,14 @@ def observe(
     shown = list[StretchFrame]()
     end = StretchEnd(0, False, "")
     careful = context.stretches.careful
-    source = stretch_at(context.span.info, stretch.begins, alone, careful, seeks)
+    strict = not careful and (stretch.begins is None or not alone)
+    source = clip_frames(
+        context.span.info, stretch.begins, alone, careful, strict, seeks
+    )
     decoded_s, analyse_s = source.seconds, 0.0
 
     def check() -> None:
-        if context.stretches.careful:
+        if careful:
             return
         if source.reader.damaged:
             raise FrameDamageError(f"{context.span.info.path}: frames are damaged")
@@ -368,6 +371,8 @@ def observe(
             step(frame, following)
             analyse_s += time.perf_counter() - start
             shown.append(StretchFrame(len(shown), frame.pts, frame.key))
+            if not careful:
+                keep_frame(frame)
             tick()
             frame = following
     tables = {

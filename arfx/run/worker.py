@@ -37,12 +37,12 @@ from arfx.media.output import OutputPlan
 from arfx.media.writer import ChunkWriter, chunk_suffix, remove_output
 from arfx.run.background_io import behind
 from arfx.run.folder import JobFolder, Lines, content_digest, disk_error, save_preview
-from arfx.run.frame import run_frame
+from arfx.run.frame import real_depth_layer, run_frame
 from arfx.run.inputs import job_depth, job_model
 from arfx.run.memory import peak_mb
 from arfx.run.parameters import make_stages, parameters
 from arfx.run.planned import ClipAnalysis
-from arfx.run.source import real_depth_layer, source_at
+from arfx.run.source import job_frame
 
 _OPENING = threading.Lock()  # what threads share is made once
 
@@ -192,14 +192,13 @@ def render_chunk(
         f"{process_name()}-{threading.get_ident()}-{final.name}{suffix}"
     )
     try:
-        source = source_at(
-            context.info, context.pts, first, 0 if alone else 1, context.careful
-        )
         with ChunkWriter(context.output, context.info, aside) as writer:
             with behind(encode) if alone else nullcontext(encode) as put:
                 for index in range(first, last + 1):
                     start = time.perf_counter()
-                    frame = source.next()
+                    frame = job_frame(
+                        context.info, context.pts, index, alone, context.careful
+                    )
                     seconds["decode"] += time.perf_counter() - start
                     if frame is None:
                         raise RenderError(
