@@ -29,8 +29,7 @@ from arfx.media.output import check_times
 from arfx.media.writer import chunk_suffix
 from arfx.plan.errors import errors_of_clip, shipped_errors
 from arfx.run.analysis import Run, analyse_clip
-from arfx.run.cluster.paths import PathMap
-from arfx.run.cluster.spec import ClusterSpec
+from arfx.run.cluster.spec import ClusterSpec, PathMap
 from arfx.run.cluster.start import Cluster, open_cluster
 from arfx.run.executors import (
     Done,
@@ -309,14 +308,12 @@ def _analyse(
     )
     span = (config.input.start, config.input.end)
 
-    def run_here(
-        tasks: Iterator[Task], count: int, frames: int, progress: Done
-    ) -> Results:
+    def run_here(tasks: Sequence[Task], frames: int, progress: Done) -> Results:
         here = options  # a cluster's workers are not
         if options.workers is not None:
             here = replace(options, workers=min(options.workers, usable_cores()))
         pixels = frames * inputs.camera.rect.area
-        return _results(analyse_stretch, tasks, count, pixels, progress, here)
+        return _results(analyse_stretch, tasks, pixels, progress, here)
 
     run: Run = run_here
     if cluster is not None:
@@ -378,18 +375,17 @@ def _analyse(
 
 def _results(
     work: Work,
-    tasks: Iterator[Task],
-    count: int,
+    tasks: Sequence[Task],
     pixels: int,
     progress: Done,
     options: Options,
 ) -> Results:
-    """Of the tasks, `count` at most, by this machine's workers. pixels : of all frames"""
+    """Of the tasks, by this machine's workers. pixels : of all frames"""
     workers, threads = worker_count(pixels, options.workers)
-    if min(workers, count) <= 1:
+    if min(workers, len(tasks)) <= 1:
         return run_serial(tasks, progress, work)
     parallel = run_threads if threads else options.processes.run
-    return _without_opencv_threads(parallel([*tasks], workers, progress, work))
+    return _without_opencv_threads(parallel(tasks, workers, progress, work))
 
 
 def _without_opencv_threads(results: Results) -> Results:
@@ -427,7 +423,7 @@ def _render(
     progress(0)
     pixels = total * job.scene.camera.rect.area
     results = (
-        _results(render_chunk, iter(tasks), len(tasks), pixels, progress, options)
+        _results(render_chunk, tasks, pixels, progress, options)
         if cluster is None
         else cluster.render(tasks, progress, job)
     )

@@ -1,23 +1,53 @@
-"""Decoded frames, for the stretches that a thread analyses and the chunks that it renders.
+"""Decoded frames, for the stretches that a thread analyses and the chunks that it renders;
+encoding behind the rendering, in a thread of its own.
 
-What follows the thread's last one is read on from where that ended: a new reader decodes
-from the key frame before, which may lie hundreds of frames back."""
+What follows a thread's last stretch or chunk is read on from where that ended: a new reader
+decodes from the key frame before, which may lie hundreds of frames back."""
 
 from __future__ import annotations
 
 import contextlib
 import threading
 import time
-from collections.abc import Generator, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from typing import TypeVar
 
+from arfx.core import interrupt
 from arfx.media.clip import ClipInfo
 from arfx.media.frames import ClipReader, Frame
-from arfx.run.background_io import ahead
 
+T = TypeVar("T")
 KEPT_BYTES = (
     256_000_000  # of decoded frames: some three seconds of 1080p, six of 720p
 )
+
+
+@contextlib.contextmanager
+def behind(
+    write: Callable[[T], None], depth: int = 2
+) -> Iterator[Callable[[T], None]]:
+    """Yields what hands an item to `write`, in order, while `depth` others wait at most.
+
+    Raises what `write` raises, at a later item or at the end; after an error, there or in
+    the body, what waits is left."""
+    pool = ThreadPoolExecutor(1, "behind")
+    pending: deque[Future[None]] = deque()
+
+    def put(item: T) -> None:
+        while len(pending) > depth:
+            pending.popleft().result()
+        pending.append(pool.submit(write, item))
+
+    try:
+        yield put
+        for future in pending:
+            future.result()
+    finally:
+        with interrupt.deferred():
+            pool.shutdown(cancel_futures=True)
 
 
 class KeptFrames:
@@ -66,8 +96,8 @@ class ClipFrames:
     """Iterator over a clip's frames from a time on (None = from its start, whatever the
     times are), in order.
 
-    alone : decoding gets threads of its own, and runs ahead;  careful, strict, seeks : as
-    of `ClipReader`;  seconds : of decoding so far
+    alone : decoding gets threads of its own;  careful, strict, seeks : as of `ClipReader`
+    seconds : of decoding so far
     frontier : the next frame is the first at or after that time; None = nobody said so
     """
 
@@ -83,16 +113,8 @@ class ClipFrames:
         self.info, self.careful, self.frontier = info, careful, first_pts
         self.seconds = 0.0
         self.reader = ClipReader(info, 0 if alone else 1, careful, strict, seeks)
-        frames = self._timed(self.reader.frames(first_pts))
-        self._frames = ahead(frames) if alone else frames
+        self._frames = self.reader.frames(first_pts)
         self._back: Frame | None = None
-
-    def _timed(self, frames: Iterator[Frame]) -> Generator[Frame]:
-        start = time.perf_counter()
-        for frame in frames:
-            self.seconds += time.perf_counter() - start
-            yield frame
-            start = time.perf_counter()
 
     def __iter__(self) -> ClipFrames:
         return self
@@ -102,7 +124,11 @@ class ClipFrames:
         if self._back is not None:
             frame, self._back = self._back, None
             return frame
-        return next(self._frames)
+        start = time.perf_counter()
+        try:
+            return next(self._frames)
+        finally:
+            self.seconds += time.perf_counter() - start
 
     def put_back(self, frame: Frame, frontier: int) -> None:
         """It belongs to what begins at that time."""
@@ -115,7 +141,6 @@ class ClipFrames:
         return self.frontier == pts or (self.careful and self.frontier < pts)
 
     def close(self) -> None:
-        self._frames.close()
         self.reader.close()
 
 

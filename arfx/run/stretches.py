@@ -24,11 +24,9 @@ import numpy as np
 from arfx.analyse.job import AnalysisFrame, AnalysisJob
 from arfx.analyse.observe import Observation
 from arfx.analyse.tables import Tables, by_columns, to_bytes
-from arfx.core.camera import Camera
 from arfx.core.codec import Document, Packed
-from arfx.core.colour import Transfer
 from arfx.errors import NothingToDoError
-from arfx.media.clip import ClipInfo, probe
+from arfx.media.clip import ClipInfo
 from arfx.media.frame import Frame
 from arfx.media.frames import (
     ClipReader,
@@ -217,13 +215,8 @@ def _context(folder: JobFolder, paths: Paths) -> Context:
     """Without files of which a stretch needs nothing: where the markers lie, and the
     camera's poses, are asked for in the end.
     """
-    config = frozen_job(folder, paths)
-    assert config.input.clip is not None
-    info = probe(config.input.clip, Transfer(config.input.transfer))
+    config, info, camera, _ = frozen_job(folder, paths)
     kept = _Listed.from_line(folder.stretch_list.read_text(encoding="utf-8"))
-    camera = Camera.from_json(
-        json.loads(folder.inputs.read_text(encoding="utf-8"))["camera"]
-    )
     job = AnalysisJob(
         config.markers,
         camera,

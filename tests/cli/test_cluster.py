@@ -24,8 +24,7 @@ from arfx.run import job as jobs
 from arfx.run import stretches
 from arfx.run.cluster import files, pool, start
 from arfx.run.cluster.agreement import OPENGL, OPENS, differences, environment
-from arfx.run.cluster.paths import PathMap
-from arfx.run.cluster.spec import ClusterSpec
+from arfx.run.cluster.spec import ClusterSpec, PathMap
 from arfx.run.cluster.start import Cluster
 from arfx.run.executors import Task
 from arfx.run.folder import JobFolder, content_digest
@@ -284,9 +283,8 @@ def test_workers_that_do_not_see_the_job_folder_use_a_store(
     assert "facts.jsonl" in seen and not [*store.rglob("*")], (
         "what was put there is gone"
     )
-    assert len([*planned.folder.previews.iterdir()]) == 2 * len(
-        planned.analysed.previews
-    )
+    previews = [*planned.folder.previews.iterdir()]
+    assert len(previews) == len(planned.analysed.previews)
 
 
 FACTS = "facts.jsonl", "frames.json", "environment.maps"

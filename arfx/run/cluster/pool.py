@@ -12,9 +12,8 @@ from typing import Any
 from arfx.core import interrupt
 from arfx.errors import RenderError
 from arfx.run.cluster import remote
-from arfx.run.cluster.store import Store
+from arfx.run.cluster.files import Store
 from arfx.run.executors import Done, Results, Task
-from arfx.run.folder import JobFolder
 
 ROUND_S = 0.05
 LOOK_S = 1.0  # between two looks at who is there
@@ -101,16 +100,9 @@ class Pool:
 
         Raises RenderError: a chunk that lost too many workers, no worker that may render,
         no scheduler; what a worker raises. On the way out what has not begun is dropped."""
-        done, left = 0, list[Task]()
-        for task in tasks:
-            if file := self._taken(task):
-                done += task[3] - task[2] + 1
-                yield {"file": file, "first": task[2], "last": task[3]}
-            else:
-                left.append(task)
         self.look()
-        size = min(max(len(left) // (2 * max(workers, 1)), 1), MOST)
-        runs = [left[k : k + size] for k in range(0, len(left), size)]
+        done, size = 0, min(max(len(tasks) // (2 * max(workers, 1)), 1), MOST)
+        runs = [tasks[k : k + size] for k in range(0, len(tasks), size)]
         waiting = {self._submit(run): run for run in runs}
         working, told = time.monotonic(), False
         try:
@@ -125,7 +117,7 @@ class Pool:
                     for task, result in zip(
                         run, self._result(future, run), strict=True
                     ):
-                        self._await_file(task, result["file"])
+                        self._collect(Path(task[-1]).with_name(result["file"]))
                         done += task[3] - task[2] + 1
                         yield result
                 progress(done)
@@ -161,22 +153,15 @@ class Pool:
                 " distributed.scheduler.allowed-failures says",
             ) from None
 
-    def _taken(self, task: Task) -> str | None:
-        """The name of a task's file that was in the store, and is in the job folder now."""
-        if self._store is None or self._job is None:
-            return None
-        target = Path(task[-1])
-        folder = JobFolder(target.parents[1])
-        path = self._store.take(target.name, self._job.suffix, folder)
-        return None if path is None else path.name
-
-    def _await_file(self, task: Task, file: str) -> None:
-        """A shared disk may show a file later than the worker that wrote it."""
-        folder, began = Path(task[-1]).parent, time.monotonic()
-        while not (folder / file).exists() and not self._taken(task):
+    def _collect(self, file: Path) -> None:
+        """Have a file that a worker has written in the job folder."""
+        if self._store is not None:
+            self._store.take(file)
+        began = time.monotonic()
+        while not file.exists():  # a shared disk may show it later
             if time.monotonic() - began > ARRIVE_S:
                 raise RenderError(
-                    f"a worker has written {file}, and it is not in {folder}",
+                    f"a worker has written {file.name}, and it is not in {file.parent}",
                     "--map-path has to name the same folder on the workers",
                 )
             time.sleep(ROUND_S)

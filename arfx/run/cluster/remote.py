@@ -27,11 +27,10 @@ from arfx.run.cluster.agreement import (
     differences,
     environment,
 )
-from arfx.run.cluster.files import Bundle, find
-from arfx.run.cluster.paths import is_url
-from arfx.run.cluster.store import Store
+from arfx.run.cluster.files import Bundle, Store, find
+from arfx.run.cluster.spec import is_url
 from arfx.run.executors import Work
-from arfx.run.folder import JobFolder, content_digest
+from arfx.run.folder import JobFolder
 from arfx.run.schedule import find_chunk
 from arfx.run.stretches import analyse_stretch, listed
 from arfx.run.worker import Paths, render_chunk
@@ -185,13 +184,10 @@ def _work(placed: _Placed, first: int, last: int, name: str) -> dict[str, Any]:
 def _hand_over(
     store: Store, folder: JobFolder, file: Path, result: dict[str, Any]
 ) -> None:
-    """A chunk's previews, then the file, into the store; there the names of all end with
-    the digest of the content.
-    """
+    """A chunk's previews, then the file, into the store."""
     for index in range(result["first"], result["last"] + 1):
         for path in folder.previews.glob(f"{index:06d}.*"):
             store.put(path, f"previews/{path.name}")
             path.unlink()
-    more = f".{content_digest(file)}" if file.parent == folder.stretches else ""
-    store.put(file, f"{file.parent.name}/{file.name}{more}")
+    store.put(file, f"{file.parent.name}/{file.name}")
     remove_output(file)

@@ -19,12 +19,18 @@ from arfx.errors import ConfigError
 from arfx.media.writer import chunk_suffix
 from arfx.run.analysis import Run
 from arfx.run.cluster.agreement import OPENGL, OPENS, environment
-from arfx.run.cluster.files import bundles
-from arfx.run.cluster.paths import PathMap, is_url, places
+from arfx.run.cluster.files import Store, bundles
 from arfx.run.cluster.pool import Pool
 from arfx.run.cluster.remote import JobReference
-from arfx.run.cluster.spec import ADDRESS, LOCAL, ClusterSpec, library
-from arfx.run.cluster.store import Store
+from arfx.run.cluster.spec import (
+    ADDRESS,
+    LOCAL,
+    ClusterSpec,
+    PathMap,
+    is_url,
+    library,
+    places,
+)
 from arfx.run.executors import Done, Results, Task
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import Inputs
@@ -78,19 +84,17 @@ class Cluster:
         for, facts differ in their last digits.
         key : of the analysis;  here : how this machine does it where all are refused"""
 
-        def run(
-            tasks: Iterator[Task], count: int, frames: int, progress: Done
-        ) -> Results:
-            if count <= 1:
-                yield from here(tasks, count, frames, progress)
+        def run(tasks: Sequence[Task], frames: int, progress: Done) -> Results:
+            if len(tasks) <= 1:
+                yield from here(tasks, frames, progress)
                 return
             with self._pool(inputs, folder, key, None) as pool:
                 pool.look()
                 if why := pool.refusal():
                     self._notice(f"this machine analyses the clip alone: {why}")
-                    yield from here(tasks, count, frames, progress)
+                    yield from here(tasks, frames, progress)
                 else:
-                    yield from pool.results([*tasks], progress, self.workers)
+                    yield from pool.results(tasks, progress, self.workers)
 
         return run
 
@@ -118,10 +122,12 @@ class Cluster:
         here = environment(plugins, not rendering)
         if rendering and inputs.config.params["raster"].backend == "pyrender":
             here[OPENGL] = OPENS
-        yield Pool(self._client, here, job, self._notice, store, self._own)
-        if store is not None:
-            store.take_previews(folder.previews)
-            store.remove()
+        try:
+            yield Pool(self._client, here, job, self._notice, store, self._own)
+        finally:
+            if store is not None:
+                store.take_previews(folder.previews)
+                store.remove()
 
 
 @contextlib.contextmanager

@@ -22,8 +22,7 @@ from arfx.errors import ConfigError, InputError, RenderError
 from arfx.media.frames import FrameTimesError
 from arfx.run.cluster import remote
 from arfx.run.cluster.files import Bundle, Part, find
-from arfx.run.cluster.paths import PathMap, places
-from arfx.run.cluster.spec import ClusterSpec
+from arfx.run.cluster.spec import ClusterSpec, PathMap, places
 from arfx.run.cluster.start import open_cluster
 from arfx.run.folder import _CHUNK, JobFolder, file_digest
 from arfx.run.times import ANALYSIS, CHUNK, STRETCH, WorkLog
@@ -278,7 +277,7 @@ def test_the_time_of_each_worker(tmp_path: Path) -> None:
         log.note(
             STRETCH, name, {"analyse": 4.0}, worker="2", host="h", first=0, last=59
         )
-    log.note(ANALYSIS, "facts", {"analyse": 4.5}, stretches=["s"])
+    log.note(ANALYSIS, "facts", {"analyse": 0.5}, stretches=["s"])
     spent = log.spent("facts", "abc")
     assert spent.workers == (
         {
