@@ -25,7 +25,7 @@ from arfx.media.frames import (
     missing_frames,
 )
 from arfx.run.executors import Done, Results, Task, run_serial
-from arfx.run.folder import JobFolder, digest
+from arfx.run.folder import JobFolder
 from arfx.run.stretches import (
     END,
     FRAMES,
@@ -88,11 +88,33 @@ def analyse_clip(
     with ClipReader(info) as reader:
         times = reader.times()
 
-    def joined(stretches: Stretches, run: Run) -> AnalysisPass:
-        clip = replace(job, frames=stretches.frames)
-        context = Context(clip, wanted, span, stretches)
-        files = {part: _file(context, folder, key, part) for part in stretches.parts}
-        _observe(context, files, folder, key, log, progress, run)
+    def analysed(stretches: Stretches, run: Run) -> AnalysisPass:
+        context = Context(
+            replace(job, frames=stretches.frames), wanted, span, stretches
+        )
+        files: dict[Stretch, Path] = {
+            part: folder.stretches / f"{part.first:06d}-{part.last:06d}.{key}"
+            for part in stretches.parts
+        }
+        folder.stretches.mkdir(exist_ok=True)
+        keep(folder, key, context)
+        todo = {part: file for part, file in files.items() if _tables(file) is None}
+        for file in todo.values():
+            file.unlink(missing_ok=True)
+        before = stretches.frames - sum(p.last + 1 - p.first for p in todo)
+        total = stretches.frames if stretches.parts[-1].last else None
+
+        def tell(done: int) -> None:
+            """done : frames that were analysed, counted as often as that happened"""
+            progress("analyse", min(before + done, total or before + done), total)
+
+        tasks: list[Task] = [
+            (str(folder.path), key, part.first, part.last, str(file))
+            for part, file in todo.items()
+        ]
+        with contextlib.closing(run(tasks, stretches.frames, tell)) as results:
+            for result in results:
+                log.note(STRETCH, result["file"], **result)
         start = time.perf_counter()
         found = _joined(context, files, [] if times is None else times.pts)
         seconds = {"analyse": time.perf_counter() - start}
@@ -103,19 +125,11 @@ def analyse_clip(
 
     stretches, damaged = cut(span, times), reader.damaged
     try:
-        found = joined(stretches, run if stretches.seeks else in_order)
+        found = analysed(stretches, run if stretches.seeks else in_order)
     except FrameTimesError as e:  # what the packets say of the frames is not so
         damaged = isinstance(e, FrameDamageError)
-        found = joined(whole(span), in_order)
+        found = analysed(whole(span), in_order)
     return replace(found, damaged=damaged)
-
-
-def _file(context: Context, folder: JobFolder, key: str, part: Stretch) -> Path:
-    """Where the tables of a stretch are kept."""
-    wanted, frames = sorted(context.wanted), context.stretches.frames
-    about = digest(key, wanted, part.to_json(), frames)
-    path: Path = folder.stretches / f"{part.first:06d}-{part.last:06d}.{about}"
-    return path
 
 
 def _tables(file: Path) -> Tables | None:
@@ -125,41 +139,6 @@ def _tables(file: Path) -> Tables | None:
         if END in tables:
             return tables
     return None
-
-
-def _observe(
-    context: Context,
-    files: Mapping[Stretch, Path],
-    folder: JobFolder,
-    key: str,
-    log: WorkLog,
-    progress: Progress,
-    run: Run,
-) -> None:
-    """Leave a file of every stretch, but where there is one that is whole."""
-    folder.stretches.mkdir(exist_ok=True)
-    keep(folder, key, context)
-    todo = {part: file for part, file in files.items() if _tables(file) is None}
-    for file in todo.values():
-        file.unlink(missing_ok=True)
-    frames = context.stretches.frames
-    before = frames - sum(part.last + 1 - part.first for part in todo)
-
-    total = frames if context.stretches.parts[-1].last else None  # None = not known
-
-    def tell(done: int) -> None:
-        """done : frames that were analysed, counted as often as that happened"""
-        progress("analyse", min(before + done, total or before + done), total)
-
-    tasks: list[Task] = [
-        (str(folder.path), key, part.first, part.last, str(file))
-        for part, file in todo.items()
-    ]
-    with contextlib.closing(run(tasks, frames, tell)) as results:
-        for result in results:
-            # not of one that was there already, though nobody had heard of it
-            if "seconds" in result:
-                log.note(STRETCH, result["file"], **result)
 
 
 def _joined(

@@ -407,14 +407,16 @@ def test_stretches_go_through_a_store_with_all_that_they_need(
 
         def analysing(*about: Any) -> Any:
             (clip.parent / "print.png").rename(hidden)
-            run = cluster.analysing(*about)
+            run = cluster.run(*about)
             return lambda *task: (
                 seen.update(p.name for p in store.rglob("*")) or result
                 for result in run(*task)
             )
 
         try:
-            with analysed(cut_clip, job, SimpleNamespace(analysing=analysing)) as (
+            with analysed(
+                cut_clip, job, SimpleNamespace(run=analysing, workers=2)
+            ) as (
                 _,
                 facts,
                 rows,

@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,71 +20,66 @@ ROUND_S = 0.05
 LOOK_S = 1.0  # between two looks at who is there
 SILENT_S = 5.0  # a scheduler that says nothing for so long is gone
 ARRIVE_S = 20.0  # until a file that a worker has written is seen here
-START_S = 120.0  # for workers that were started here to be there
 MOST = 4  # consecutive chunks at once: a worker reads on from one to the next
 
 
+@dataclass
 class Pool:
     """The workers that may work for one job.
 
     here : this process's `environment`;  job : None = only that is compared
+    notice : is told of workers that render nothing
     store : where files go that workers write, if not into the job folder
-    own : whether workers that were started here run, or may yet; None = they are others'
-    notice : is told of workers that render nothing"""
+    threads, refused : by address; "" = it may work"""
 
-    def __init__(
-        self,
-        client: Any,
-        here: Mapping[str, str],
-        job: remote.JobReference | None,
-        notice: Callable[[str], None],
-        store: Store | None = None,
-        own: Callable[[], bool] | None = None,
-    ) -> None:
-        self._client, self._here, self._job, self._notice = client, here, job, notice
-        self._store, self._own = store, own
-        # a worker that may not analyse may render
-        self._says_refusals = job is None or job.suffix is not None
-        self._threads: Mapping[str, int] = {}  # by address
-        self._refused: dict[str, str] = {}  # by address; "" = it may work
-        self._looked = -LOOK_S
+    client: Any
+    here: Mapping[str, str]
+    job: remote.JobReference | None
+    notice: Callable[[str], None]
+    store: Store | None = None
+    threads: Mapping[str, int] = field(default_factory=dict)
+    refused: Mapping[str, str] = field(default_factory=dict)
+    looked: float = -LOOK_S
 
     def look(self) -> None:
         """See who is there, and ask who is new. Raises RenderError where the scheduler is
         gone."""
         self._check_connection()
-        if time.monotonic() < self._looked + LOOK_S:
+        if time.monotonic() < self.looked + LOOK_S:
             return
         try:
-            threads = self._client.nthreads(callback_timeout=SILENT_S)
-            new = [*(threads.keys() - self._refused.keys())]
-            answers = self._client.run(
-                remote.examine, self._here, self._job, workers=new, on_error="return"
+            if self.looked < 0:  # that it imports this is no silence
+                self.client.run_on_scheduler(remote.work, "", [])
+            threads = self.client.nthreads(callback_timeout=SILENT_S)
+            new = [*(threads.keys() - self.refused.keys())]
+            answers = self.client.run(
+                remote.examine, self.here, self.job, workers=new, on_error="return"
             )
         except (
             OSError,
             TimeoutError,
         ):  # distributed's errors of connections are both
             raise self._lost() from None
-        self._looked = time.monotonic()
+        self.looked = time.monotonic()
+        known = dict(self.refused)
         for address, answer in answers.items():
             name, why = answer if isinstance(answer, tuple) else (address, "")
             if isinstance(answer, Exception):  # arfx is not there, or is another
                 why = f"it does not answer as arfx does: {type(answer).__name__}: {answer}"
-            if why and self._says_refusals:
-                self._notice(f"worker {name} gets no work: {why}")
-            self._refused[address] = why and f"{name}: {why}"
-        self._threads = threads
-        self._refused = {address: self._refused[address] for address in threads}
+            if why and (self.job is None or self.job.rendering):
+                self.notice(f"worker {name} gets no work: {why}")
+            known[address] = why and f"{name}: {why}"
+        self.threads = threads
+        self.refused = {address: known[address] for address in threads}
 
     @property
     def slots(self) -> int:
         """Tasks at once, of the workers that may work."""
-        return sum(self._threads[a] for a, why in self._refused.items() if not why)
+        return sum(self.threads[a] for a, why in self.refused.items() if not why)
 
     def refusal(self) -> str:
         """Why every worker that there is has been refused; "" where that is not so."""
-        reasons = self._refused.values()
+        reasons = self.refused.values()
         return "; ".join(dict.fromkeys(reasons)) if all(reasons) else ""
 
     def check(self) -> None:
@@ -100,18 +96,17 @@ class Pool:
 
         Raises RenderError: a chunk that lost too many workers, no worker that may render,
         no scheduler; what a worker raises. On the way out what has not begun is dropped."""
-        self.look()
         done, size = 0, min(max(len(tasks) // (2 * max(workers, 1)), 1), MOST)
         runs = [tasks[k : k + size] for k in range(0, len(tasks), size)]
         waiting = {self._submit(run): run for run in runs}
-        working, told = time.monotonic(), False
+        alone = False
         try:
             while waiting:
                 self.look()
-                if self.slots:
-                    working, told = time.monotonic(), False
-                elif not told:
-                    told = self._check_coming(time.monotonic() - working)
+                self.check()
+                if not (self.threads or alone):
+                    self.notice("the cluster has no worker: waiting for one")
+                alone = not self.threads
                 for future in [f for f in waiting if f.done()]:
                     run = waiting.pop(future)
                     for task, result in zip(
@@ -124,15 +119,15 @@ class Pool:
                 time.sleep(ROUND_S)
         finally:
             with interrupt.deferred(), contextlib.suppress(Exception):
-                self._client.cancel([*waiting], force=True)
+                self.client.cancel([*waiting], force=True)
 
     def _submit(self, run: Sequence[Task]) -> Any:
-        assert self._job is not None
-        return self._client.submit(
+        assert self.job is not None
+        return self.client.submit(
             remote.work,
-            self._job.run,
+            self.job.run,
             [(first, last, Path(target).name) for _, _, first, last, target in run],
-            resources={self._job.run: 1},
+            resources={self.job.run: 1},
             pure=False,
         )
 
@@ -155,8 +150,8 @@ class Pool:
 
     def _collect(self, file: Path) -> None:
         """Have a file that a worker has written in the job folder."""
-        if self._store is not None:
-            self._store.take(file)
+        if self.store is not None:
+            self.store.take(file)
         began = time.monotonic()
         while not file.exists():  # a shared disk may show it later
             if time.monotonic() - began > ARRIVE_S:
@@ -166,25 +161,12 @@ class Pool:
                 )
             time.sleep(ROUND_S)
 
-    def _check_coming(self, idle_s: float) -> bool:
-        """Nobody may work. Returns whether that was said, and can only be waited for."""
-        self.check()
-        if self._own is None:
-            self._notice("the cluster has no worker: waiting for one")
-            return True
-        if not self._own() or idle_s > START_S:
-            raise RenderError(
-                "no worker of the local cluster starts",
-                "--workers N renders without a cluster",
-            )
-        return False
-
     def _check_connection(self) -> None:
-        if self._client.status != "running":
+        if self.client.status != "running":
             raise self._lost()
 
     def _lost(self) -> RenderError:
         return RenderError(
-            f"the connection to the scheduler at {self._client.scheduler.address} is lost",
+            f"the connection to the scheduler at {self.client.scheduler.address} is lost",
             "what is done is kept; --resume goes on, with the same cluster or another",
         )

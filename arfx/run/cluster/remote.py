@@ -31,7 +31,6 @@ from arfx.run.cluster.files import Bundle, Store, find
 from arfx.run.cluster.spec import is_url
 from arfx.run.executors import Work
 from arfx.run.folder import JobFolder
-from arfx.run.schedule import find_chunk
 from arfx.run.stretches import analyse_stretch, listed
 from arfx.run.worker import Paths, render_chunk
 
@@ -41,14 +40,13 @@ class JobReference:
     """What a worker has to know of a run of a job.
 
     run : names it, and is the resource of workers that may work
-    key : of the job, or of its analysis;  suffix : of the chunks' files, None = stretches
-    are wanted
+    key : of the job, or of its analysis;  rendering : else stretches are wanted
     folders : places of the job folder (`paths.places`), and of a store, if there is one
     """
 
     run: str
     key: str
-    suffix: str | None
+    rendering: bool
     folders: tuple[str, ...]
     bundles: tuple[Bundle, ...]
 
@@ -120,16 +118,16 @@ def _place(job: JobReference, scratch: str) -> str:
 
 
 def _folder(job: JobReference, paths: Paths, scratch: str) -> _Placed:
-    reasons, rendering = [], job.suffix is not None
+    reasons = []
     for there in job.folders:
         store, folder = None, JobFolder(Path(there))
         if is_url(there):
             store = Store(there)
             copy = tempfile.mkdtemp(prefix="arfx-", dir=scratch)
-            folder = store.get_job(Path(copy), rendering)
+            folder = store.get_job(Path(copy), job.rendering)
         if not folder.path.is_dir():
             reasons.append(f"job folder {there}: no such folder")
-        elif folder.sealed(job.key) if rendering else listed(folder, job.key):
+        elif folder.sealed(job.key) if job.rendering else listed(folder, job.key):
             return _Placed(job, folder, paths, store)
         else:
             reasons.append(f"{there} holds another job")
@@ -138,7 +136,7 @@ def _folder(job: JobReference, paths: Paths, scratch: str) -> _Placed:
 
 def work(run: str, tasks: Sequence[tuple[int, int, str]]) -> list[dict[str, Any]]:
     """Do tasks (first and last frame, name of the file) of the job that was placed here,
-    as `render_chunk` or `analyse_stretch` does, but for those whose files are there."""
+    as `render_chunk` or `analyse_stretch` does."""
     return [_work(_placed[run], *task) for task in tasks]
 
 
@@ -153,13 +151,8 @@ def _work(placed: _Placed, first: int, last: int, name: str) -> dict[str, Any]:
     )
     do: Work = render_chunk
     target = folder.chunks / name
-    if job.suffix is None:
+    if not job.rendering:
         do, target = analyse_stretch, folder.stretches / name
-        found = target if target.exists() else None
-    else:
-        found = find_chunk(folder.chunks, name, job.suffix)
-    if found is not None and store is None:  # by a worker that was lost after that
-        return {"file": found.name, "first": first, "last": last}
     try:
         result = do(
             str(folder.path),

@@ -11,12 +11,12 @@ import tempfile
 import uuid
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from arfx.core import interrupt
 from arfx.core.parallel import ONE_THREAD
-from arfx.errors import ConfigError
-from arfx.media.writer import chunk_suffix
+from arfx.errors import ConfigError, RenderError
 from arfx.run.analysis import Run
 from arfx.run.cluster.agreement import OPENGL, OPENS, environment
 from arfx.run.cluster.files import Store, bundles
@@ -35,7 +35,6 @@ from arfx.run.executors import Done, Results, Task
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import Inputs
 from arfx.run.parameters import pipeline
-from arfx.run.planned import Job
 from arfx.stages import STAGES
 
 CONNECT_S, CLOSE_S = 7, 3
@@ -47,51 +46,49 @@ _SETTINGS = {
 }
 
 
+@dataclass
 class Cluster:
-    """A cluster that is there. workers : how many stretches or chunks are done at once, as
-    far as that is known
+    """A cluster that is there.
 
-    own : as of `Pool`"""
+    workers : how many stretches or chunks are done at once, as far as that is known"""
 
-    def __init__(
-        self,
-        client: Any,
-        spec: ClusterSpec,
-        maps: Sequence[PathMap],
-        notice: Callable[[str], None],
-        own: Callable[[], bool] | None = None,
-    ) -> None:
-        self._client, self._maps, self._notice, self._own = client, maps, notice, own
-        self.workers = spec.workers
-        if spec.kind == ADDRESS:
-            pool = Pool(client, environment(), None, notice)
+    client: Any
+    spec: ClusterSpec
+    maps: Sequence[PathMap]
+    notice: Callable[[str], None]
+
+    def __post_init__(self) -> None:
+        self.workers = self.spec.workers
+        if self.spec.kind == ADDRESS:
+            pool = Pool(self.client, environment(), None, self.notice)
             pool.look()
             pool.check()  # before any work, if none of its workers can be used
             self.workers = pool.slots or 1
 
-    def render(self, tasks: Sequence[Task], progress: Done, job: Job) -> Results:
-        """Render the tasks of a job whose folder this process holds; see `Pool.results`."""
-        suffix = chunk_suffix(job.inputs.output)
-        with self._pool(job.inputs, job.folder, job.key, suffix) as pool:
-            yield from pool.results(tasks, progress, self.workers)
-
-    def analysing(
-        self, inputs: Inputs, folder: JobFolder, key: str, here: Run
+    def run(
+        self,
+        inputs: Inputs,
+        folder: JobFolder,
+        key: str,
+        rendering: bool,
+        here: Run,
     ) -> Run:
-        """Has the stretches of a job analysed.
+        """Has chunks of a job rendered whose folder this process holds, or its stretches
+        analysed; see `Pool.results`.
 
-        Workers with another processor may not: with one that libraries choose other code
-        for, facts differ in their last digits.
-        key : of the analysis;  here : how this machine does it where all are refused"""
+        Workers with another processor may not analyse: with one that libraries choose other
+        code for, facts differ in their last digits.
+        key, rendering : as of `JobReference`;  here : how this machine analyses, where all are
+        refused"""
 
         def run(tasks: Sequence[Task], frames: int, progress: Done) -> Results:
-            if len(tasks) <= 1:
+            if not rendering and len(tasks) <= 1:
                 yield from here(tasks, frames, progress)
                 return
-            with self._pool(inputs, folder, key, None) as pool:
+            with self._pool(inputs, folder, key, rendering) as pool:
                 pool.look()
-                if why := pool.refusal():
-                    self._notice(f"this machine analyses the clip alone: {why}")
+                if not rendering and (why := pool.refusal()):
+                    self.notice(f"this machine analyses the clip alone: {why}")
                     yield from here(tasks, frames, progress)
                 else:
                     yield from pool.results(tasks, progress, self.workers)
@@ -100,30 +97,30 @@ class Cluster:
 
     @contextlib.contextmanager
     def _pool(
-        self, inputs: Inputs, folder: JobFolder, key: str, suffix: str | None
+        self, inputs: Inputs, folder: JobFolder, key: str, rendering: bool
     ) -> Iterator[Pool]:
         """Of a job that is placed where workers find it. If that is a store, the job's
         files are put there, and it is emptied when the body is done.
 
-        key, suffix : as of `JobReference`
+        key, rendering : as of `JobReference`
         """
-        folders = places(folder.path.absolute(), self._maps)
+        folders = places(folder.path.absolute(), self.maps)
         seen = [there for there in folders if not is_url(there)]
-        store, rendering = None, suffix is not None
+        store = None
         if len(seen) < len(folders):
             store = Store(f"{folders[len(seen)].rstrip('/')}/{key}")
             store.put_job(folder, rendering)
             seen.append(store.url)
-        files = bundles(inputs, self._maps, rendering)
+        files = bundles(inputs, self.maps, rendering)
         job = JobReference(
-            f"arfx-{uuid.uuid4().hex}", key, suffix, tuple(seen), files
+            f"arfx-{uuid.uuid4().hex}", key, rendering, tuple(seen), files
         )
         plugins = [name for name in pipeline(inputs.config) if name in STAGES.plugins]
         here = environment(plugins, not rendering)
         if rendering and inputs.config.params["raster"].backend == "pyrender":
             here[OPENGL] = OPENS
         try:
-            yield Pool(self._client, here, job, self._notice, store, self._own)
+            yield Pool(self.client, here, job, self.notice, store)
         finally:
             if store is not None:
                 store.take_previews(folder.previews)
@@ -174,8 +171,7 @@ def open_cluster(
         stack.callback(_close, client)
         if spec.kind == ADDRESS and client.dashboard_link:
             notice(f"dashboard: {client.dashboard_link}")
-        own = (lambda: _is_running(cluster)) if spec.kind == LOCAL else None
-        yield Cluster(client, spec, maps, notice, own)
+        yield Cluster(client, spec, maps, notice)
 
 
 async def _greet(address: str) -> None:
@@ -198,19 +194,23 @@ def _start_local(spec: ClusterSpec, scratch: str) -> Any:
     # the threads of the cluster, and what they start, never see Ctrl-C: that is this
     # process's affair
     with interrupt.starting_workers():
-        cluster = LocalCluster(
-            n_workers=0,
-            threads_per_worker=1,
-            processes=True,
-            host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",
-            memory_limit=0,
-            local_directory=scratch,
-            silence_logs=logging.CRITICAL,
-            env=ONE_THREAD,
-        )
-        cluster.scale(spec.workers)
-    return cluster
+        try:
+            return LocalCluster(
+                n_workers=spec.workers,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address="127.0.0.1:0",
+                memory_limit=0,
+                local_directory=scratch,
+                silence_logs=logging.CRITICAL,
+                env=ONE_THREAD,
+            )
+        except RuntimeError:
+            raise RenderError(
+                "no worker of the local cluster starts",
+                "--workers N renders without a cluster",
+            ) from None
 
 
 def _start_slurm(spec: ClusterSpec, scratch: str) -> Any:
@@ -240,12 +240,6 @@ def _start_slurm(spec: ClusterSpec, scratch: str) -> Any:
             ) from None
         cluster.scale(jobs=spec.settings["jobs"])
     return cluster
-
-
-def _is_running(cluster: Any) -> bool:
-    """Whether not all processes of a local cluster ended before they were workers."""
-    workers = cluster.workers.values()
-    return not workers or any(w.status.name != "failed" for w in workers)
 
 
 def _close(opened: Any) -> None:

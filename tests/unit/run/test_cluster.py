@@ -303,9 +303,7 @@ def test_the_time_of_each_worker(tmp_path: Path) -> None:
 
 
 def reference(work: str = CHUNK) -> remote.JobReference:
-    return remote.JobReference(
-        "run", "key", ".nut" if work == CHUNK else None, (), ()
-    )
+    return remote.JobReference("run", "key", work == CHUNK, (), ())
 
 
 def test_a_full_disk_on_a_worker_ends_the_job_with_its_own_error(
