@@ -114,9 +114,9 @@ def one_analysis(
     if not decoders:
         import cv2
 
-        whole = stretches.stretch_at
-        stretches.stretch_at = lambda info, first_pts, alone: whole(
-            info, first_pts, False
+        frames = stretches.clip_frames
+        stretches.clip_frames = lambda info, first_pts, alone, *more: frames(
+            info, first_pts, False, *more
         )
         if workers == 1:
             cv2.setNumThreads(1)

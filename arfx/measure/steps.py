@@ -23,9 +23,8 @@ from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, Stage
 from arfx.measure.timing import PROCESSOR
 from arfx.media.frames import ClipReader
-from arfx.run.frame import FrameLayers
+from arfx.run.frame import FrameLayers, real_depth_layer
 from arfx.run.planned import Job
-from arfx.run.source import real_depth_layer
 from arfx.stages import RENDERER
 
 NEAR_PX = 16

@@ -10,20 +10,21 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
-import queue
 import sys
 import threading
 import traceback
-from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from functools import partial
 from typing import Any, Self
+
+import cv2
 
 from arfx.core import interrupt
 from arfx.core.machine import collect_seldom
 from arfx.core.parallel import ONE_THREAD
 from arfx.errors import RenderError
-from arfx.run.schedule import steal, work_queues
+from arfx.run.schedule import next_task, work_queues
 from arfx.run.source import release
 
 Done = Callable[[int], None]  # is told how many frames are done
@@ -76,13 +77,11 @@ def _in_threads(
     stop: Callable[[], None] = lambda: None,
 ) -> Results:
     """A thread for each of the crew, who works. stop : called on the way out, unless all is done"""
-    import concurrent.futures as futures
-
     ticks = itertools.count(1)  # one step of it is atomic
     done, stopped = 0, False
     queues = work_queues(tasks, len(crew))
-    choosing = threading.Lock()
-    results: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+    hands = [*zip(queues, crew, strict=False)]
+    choosing, own = threading.Lock(), threading.local()
 
     def tick() -> None:
         nonlocal done
@@ -90,38 +89,33 @@ def _in_threads(
             raise _StoppedError
         done = max(done, next(ticks))
 
-    def run(own: deque[Task], work: Work) -> None:
-        try:
-            while True:
-                with choosing:
-                    task = steal(own, queues)
-                if task is None:
-                    return
-                results.put(work(*task, tick))
-        finally:
-            release()
+    def begin() -> None:
+        own.queue, own.work = hands.pop(0)
 
-    pool = futures.ThreadPoolExecutor(len(queues), "worker")
+    def do_next() -> dict[str, Any]:
+        with choosing:
+            task = next_task(own.queue, queues)
+        result: dict[str, Any] = own.work(*task, tick)
+        return result
+
+    pool = ThreadPoolExecutor(len(queues), "worker", begin)
+    # OpenCV's own threads only get in the way of each other where all cores have work
+    opencv_threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
     try:
-        running = {
-            pool.submit(run, own, work)
-            for own, work in zip(queues, crew, strict=False)
-        }
-        while running or not results.empty():
-            ready, running = futures.wait(
-                running, timeout=0.2, return_when=futures.FIRST_COMPLETED
-            )
+        running = {pool.submit(do_next) for _ in tasks}
+        while running:
+            ready, running = wait(running, timeout=0.2, return_when=FIRST_COMPLETED)
             progress(done)
-            while not results.empty():
-                yield results.get()
             for future in ready:
-                future.result()
+                yield future.result()
     except BaseException:
         stopped = True
         stop()
         raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+        cv2.setNumThreads(opencv_threads)
 
 
 def _serve(pipe: Any) -> None:
@@ -130,8 +124,6 @@ def _serve(pipe: Any) -> None:
     tasks; it answers None after each frame, then what came of it."""
     interrupt.in_worker()
     collect_seldom()
-    import cv2
-
     cv2.setNumThreads(1)
     sys.stdout = sys.stderr  # for results of the command
     with contextlib.suppress(EOFError, OSError):  # the parent has ended

@@ -40,7 +40,7 @@ _FOLDERS = re.compile(rf"chunks|stretches|previews|joined\.part|chunks/{_CHUNK}"
 _UNMARKED = re.compile(rf"(?:{_LOCKS})|{PART}|joined\.part(?:/(?:{_IMAGE}))?")
 _MARKED = re.compile(
     rf"job\.toml|environment\.maps|(?:inputs|stretches|frames|plan_summary|seal|placed|report)\.json|(?:facts|plan|timings)\.jsonl"
-    rf"|stretches/(?:\d{{6,}}-\d{{6,}}\.[0-9a-f]{{16}}|{PART})|chunks/{_CHUNK}(?:/(?:{_IMAGE}))?|previews/\d{{6,}}\.(?:in|out)\.bmp"
+    rf"|stretches/(?:\d{{6,}}-\d{{6,}}\.[0-9a-f]{{16}}|{PART})|chunks/{_CHUNK}(?:/(?:{_IMAGE}))?|previews/\d{{6,}}\.bmp"
 )
 _SEALED = (
     "frames.json",
@@ -362,16 +362,17 @@ def pick_previews(facts: Sequence[FrameFacts]) -> list[int]:
 
 
 def save_preview(folder: Path, index: int, before: Frame, after: Frame) -> None:
+    """One picture: before, and after to its right."""
     import cv2
 
-    for frame, kind in ((before, "in"), (after, "out")):
-        rgb = frame.rgb8()
-        if rgb.shape[1] > WIDEST_PX:
-            size = (WIDEST_PX, max(round(rgb.shape[0] * WIDEST_PX / rgb.shape[1]), 1))
-            rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
-        # as it is: a PNG would take as long as a frame's rendering, for a file that lives
-        # as long as the job folder
-        cv2.imwrite(str(folder / f"{index:06d}.{kind}.bmp"), rgb[..., ::-1])
+    pair = np.hstack([before.rgb8(), after.rgb8()])
+    height, width = pair.shape[:2]
+    if width > 2 * WIDEST_PX:
+        size = (2 * WIDEST_PX, max(round(2 * height * WIDEST_PX / width), 1))
+        pair = cv2.resize(pair, size, interpolation=cv2.INTER_AREA)
+    # as it is: a PNG would take as long as a frame's rendering, for a file that lives as long
+    # as the job folder
+    cv2.imwrite(str(folder / f"{index:06d}.bmp"), pair[..., ::-1])
 
 
 def load_previews(folder: Path) -> list[tuple[int, np.ndarray, np.ndarray]]:
@@ -379,16 +380,8 @@ def load_previews(folder: Path) -> list[tuple[int, np.ndarray, np.ndarray]]:
     import cv2
 
     out = []
-    for path in sorted(folder.glob("*.in.bmp")):
-        after = path.with_name(path.name.replace(".in.", ".out."))
-        if after.exists():
-            pair = [cv2.imread(str(p)) for p in (path, after)]
-            if pair[0] is not None and pair[1] is not None:
-                out.append(
-                    (
-                        int(path.name.split(".")[0]),
-                        pair[0][..., ::-1],
-                        pair[1][..., ::-1],
-                    )
-                )
+    for path in sorted(folder.glob("*.bmp")):
+        if (pair := cv2.imread(str(path))) is not None:
+            before, after = np.array_split(pair[..., ::-1], 2, axis=1)
+            out.append((int(path.stem), before, after))
     return out

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
+from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.pixels import Pixels, Plate
@@ -19,7 +20,8 @@ from arfx.core.plan import FramePlan
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, Stage, blamed
-from arfx.errors import RenderError
+from arfx.errors import InputError, RenderError
+from arfx.media.depth_maps import DepthMaps, fill_holes
 from arfx.media.frame import Frame
 
 # What the renderer takes from the model's files, whose colours are those of BT.709
@@ -142,6 +144,27 @@ def run_frame(
                     _require_finite(new, layer, stage.name, facts.index)
         seconds[stage.name] = seconds.get(stage.name, 0.0) + own_time() - start
     return FrameResult(plan.changed, seconds, layers)
+
+
+def real_depth_layer(
+    maps: DepthMaps, facts: FrameFacts, frame: Frame, camera: Camera, rect: Rect
+) -> np.ndarray | None:
+    """REAL_DEPTH over `rect`: metres, > 0 everywhere, holes filled along the picture's
+    edges; None where there is none.
+
+    The whole map is filled whatever the rectangle, so that a pixel gets the same from any.
+    Raises InputError where the map is not the one that was analysed."""
+    real = facts.real_depth
+    if real is None:
+        return None
+    depth = maps.load(real.map, camera.width, camera.height)
+    if not depth.any():
+        raise InputError(
+            f"depth map {maps.name(real.map)} has changed since the analysis",
+            "start the job again",
+        )
+    whole = fill_holes(depth, np.ascontiguousarray(frame.luma()))
+    return np.ascontiguousarray(whole[rect.slices]) * np.float32(real.scale)
 
 
 def _converted(

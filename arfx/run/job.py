@@ -30,8 +30,7 @@ from arfx.media.output import check_times
 from arfx.media.writer import chunk_suffix
 from arfx.plan.errors import errors_of_clip, shipped_errors
 from arfx.run.analysis import Run, analyse_clip
-from arfx.run.cluster.paths import PathMap
-from arfx.run.cluster.spec import ClusterSpec
+from arfx.run.cluster.spec import ClusterSpec, PathMap
 from arfx.run.cluster.start import Cluster, open_cluster
 from arfx.run.executors import (
     Done,
@@ -121,12 +120,8 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
             check()
             report(phase, done, total)
 
-        options = replace(
-            options,
-            progress=progress,
-            workers=options.workers if cluster is None else cluster.workers,
-        )
-        with options.processes if cluster is None else contextlib.nullcontext():
+        options = replace(options, progress=progress)
+        with options.processes:
             job = plan_job(inputs, folder, options, started, cluster)
             chunks = _chunks(job)
             files = _render(job, chunks, options, cluster)
@@ -195,7 +190,8 @@ def plan_job(
     scene = analysed.scene(config, inputs.camera, inputs.model, folder)
     start = work_clock()
     if fresh:
-        size = _size(inputs, analysed, stages, log.spent(analysis_key, []), options)
+        workers = options.workers if cluster is None else cluster.workers
+        size = _size(inputs, analysed, stages, log.spent(analysis_key, []), workers)
         notices: list[str] = []
         plans, document = wait_for(
             "plan",
@@ -242,10 +238,10 @@ def _size(
     analysed: ClipAnalysis,
     stages: Mapping[str, Stage],
     spent: TimeSpent,
-    options: Options,
+    stated: int | None,
 ) -> JobSize:
     frames, area_px = len(analysed.pts), inputs.camera.rect.area
-    workers, threads = worker_count(frames * area_px, options.workers)
+    workers, threads = worker_count(frames * area_px, stated)
     workers = max(min(workers, len(borders(frames))), 1)
     return JobSize(
         frames,
@@ -302,18 +298,6 @@ def _analyse(
     )
     span = (config.input.start, config.input.end)
 
-    def run_here(
-        tasks: Iterator[Task], count: int, frames: int, progress: Done
-    ) -> Results:
-        here = options  # a cluster's workers are not
-        if options.workers is not None:
-            here = replace(options, workers=min(options.workers, usable_cores()))
-        pixels = frames * inputs.camera.rect.area
-        return _results(analyse_stretch, tasks, count, pixels, progress, here)
-
-    run: Run = run_here
-    if cluster is not None:
-        run = cluster.analysing(inputs, folder, analysis_key, run_here)
     done = analyse_clip(
         inputs.info,
         job,
@@ -323,7 +307,7 @@ def _analyse(
         folder,
         analysis_key,
         log,
-        run,
+        _run(analyse_stretch, inputs, folder, analysis_key, options, cluster),
     )
     clip = done.analysis
     check_times(inputs.output, done.pts, inputs.info.time_base)
@@ -369,32 +353,27 @@ def _analyse(
     ).write(folder)
 
 
-def _results(
+def _run(
     work: Work,
-    tasks: Iterator[Task],
-    count: int,
-    pixels: int,
-    progress: Done,
+    inputs: Inputs,
+    folder: JobFolder,
+    key: str,
     options: Options,
-) -> Results:
-    """Of the tasks, `count` at most, by this machine's workers. pixels : of all frames"""
-    workers, threads = worker_count(pixels, options.workers)
-    if min(workers, count) <= 1:
-        return run_serial(tasks, progress, work)
-    parallel = run_threads if threads else options.processes.run
-    return _without_opencv_threads(parallel([*tasks], workers, progress, work))
+    cluster: Cluster | None,
+) -> Run:
+    """What has tasks done, by this machine's workers or a cluster's. key : of what is done"""
 
+    def run_here(tasks: Sequence[Task], frames: int, progress: Done) -> Results:
+        pixels = frames * inputs.camera.rect.area
+        workers, threads = worker_count(pixels, options.workers)
+        if min(workers, len(tasks)) <= 1:
+            return run_serial(tasks, progress, work)
+        parallel = run_threads if threads else options.processes.run
+        return parallel(tasks, workers, progress, work)
 
-def _without_opencv_threads(results: Results) -> Results:
-    """OpenCV's own threads only get in the way of each other where all cores have work."""
-    import cv2
-
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield from results
-    finally:
-        cv2.setNumThreads(before)
+    if cluster is None:
+        return run_here
+    return cluster.run(inputs, folder, key, work is render_chunk, run_here)
 
 
 def _chunks(job: Job) -> list[Chunk]:
@@ -418,18 +397,12 @@ def _render(
         options.progress("render", total - sum(c.frames for c in todo) + done, total)
 
     progress(0)
-    pixels = total * job.scene.camera.rect.area
-    results = (
-        _results(render_chunk, iter(tasks), len(tasks), pixels, progress, options)
-        if cluster is None
-        else cluster.render(tasks, progress, job)
-    )
-    with contextlib.closing(results):  # an error here too stops the workers
+    run = _run(render_chunk, job.inputs, folder, job.key, options, cluster)
+    # an error here too stops the workers
+    with contextlib.closing(run(tasks, total, progress)) as results:
         for result in results:
             files[result["first"]] = folder.chunks / result["file"]
-            # not of a chunk that was there already, though nobody had heard of it
-            if "seconds" in result:
-                job.log.note(CHUNK, names[result["first"]], **result)
+            job.log.note(CHUNK, names[result["first"]], **result)
     progress(sum(c.frames for c in todo))
     return [path for path in files.values() if path is not None]
 

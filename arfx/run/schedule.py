@@ -66,14 +66,11 @@ def work_queues(chunks: Sequence[T], workers: int) -> list[deque[T]]:
     return [deque(chunks[i : i + size]) for i in range(0, len(chunks), size)]
 
 
-def steal(own: deque[T], queues: Sequence[deque[T]]) -> T | None:
-    """A worker's next chunk: of its own queue, then from the end of the longest one; None =
-    there is none left.
+def next_task(own: deque[T], queues: Sequence[deque[T]]) -> T:
+    """A worker's next chunk, of those that are left: of its own queue, then from the end of
+    the longest one.
     """
-    longest = max(queues, key=len, default=own)
-    if not longest:
-        return None
-    return own.popleft() if own else longest.pop()
+    return own.popleft() if own else max(queues, key=len).pop()
 
 
 def elapsed(seconds: Sequence[float], workers: int, alone: float = 1.0) -> float:

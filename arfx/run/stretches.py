@@ -24,11 +24,9 @@ import numpy as np
 from arfx.analyse.job import AnalysisFrame, AnalysisJob
 from arfx.analyse.observe import Observation
 from arfx.analyse.tables import Tables, by_columns, to_bytes
-from arfx.core.camera import Camera
 from arfx.core.codec import Document, Packed
-from arfx.core.colour import Transfer
 from arfx.errors import NothingToDoError
-from arfx.media.clip import ClipInfo, probe
+from arfx.media.clip import ClipInfo
 from arfx.media.frame import Frame
 from arfx.media.frames import (
     ClipReader,
@@ -40,7 +38,7 @@ from arfx.media.pose_files import CameraPath
 from arfx.run.folder import JobFolder, write
 from arfx.run.memory import peak_mb
 from arfx.run.parameters import required_facts
-from arfx.run.source import stretch_at
+from arfx.run.source import clip_frames, keep_frame
 from arfx.run.worker import Paths, frozen_job, keep_memory, who
 
 LEAST_FRAMES = 120  # of a stretch: shorter ones would cost more than they save
@@ -217,13 +215,8 @@ def _context(folder: JobFolder, paths: Paths) -> Context:
     """Without files of which a stretch needs nothing: where the markers lie, and the
     camera's poses, are asked for in the end.
     """
-    config = frozen_job(folder, paths)
-    assert config.input.clip is not None
-    info = probe(config.input.clip, Transfer(config.input.transfer))
+    config, info, camera, _ = frozen_job(folder, paths)
     kept = _Listed.from_line(folder.stretch_list.read_text(encoding="utf-8"))
-    camera = Camera.from_json(
-        json.loads(folder.inputs.read_text(encoding="utf-8"))["camera"]
-    )
     job = AnalysisJob(
         config.markers,
         camera,
@@ -325,11 +318,14 @@ def observe(
     shown = list[StretchFrame]()
     end = StretchEnd(0, False, "")
     careful = context.stretches.careful
-    source = stretch_at(context.span.info, stretch.begins, alone, careful, seeks)
+    strict = not careful and (stretch.begins is None or not alone)
+    source = clip_frames(
+        context.span.info, stretch.begins, alone, careful, strict, seeks
+    )
     decoded_s, analyse_s = source.seconds, 0.0
 
     def check() -> None:
-        if context.stretches.careful:
+        if careful:
             return
         if source.reader.damaged:
             raise FrameDamageError(f"{context.span.info.path}: frames are damaged")
@@ -368,6 +364,8 @@ def observe(
             step(frame, following)
             analyse_s += time.perf_counter() - start
             shown.append(StretchFrame(len(shown), frame.pts, frame.key))
+            if not careful:
+                keep_frame(frame)
             tick()
             frame = following
     tables = {

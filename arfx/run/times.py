@@ -24,7 +24,7 @@ ANALYSIS, STRETCH, CHUNK = "analysis", "stretch", "chunk"
 class _Row(BaseModel):
     """A line of timings.jsonl.
 
-    work : ANALYSIS (with all of its stretches), STRETCH or CHUNK;  key : of what was made,
+    work : ANALYSIS (of all stretches, joined), STRETCH or CHUNK;  key : of what was made,
     so that the time of work that is not in the output is left out
     walls : process of the job -> how long it had run by then, seconds
     worker, host, first, last : of a chunk and of a stretch;  stretches : keys of an
@@ -86,23 +86,13 @@ class WorkLog:
                 continue
             yield row
 
-    def walls(self, earlier: Mapping[str, float]) -> dict[str, float]:
-        """With this process's own.
-
-        earlier : of the processes without whose work this would not be
-        """
-        return {**earlier, self.process: work_clock() - self.began}
+    def _walls(self) -> dict[str, float]:
+        return {self.process: work_clock() - self.began}
 
     def note(
-        self,
-        work: str,
-        key: str,
-        seconds: Mapping[str, float],
-        walls: Mapping[str, float] = {},
-        **more: Any,
+        self, work: str, key: str, seconds: Mapping[str, float], **more: Any
     ) -> None:
-        """walls : of earlier processes;  more["rss_mb"] : peak memory of the process that
-        did it, where that was another.
+        """more["rss_mb"] : peak memory of the process that did it, where that was another.
 
         Raises OSError."""
         row = {
@@ -111,7 +101,7 @@ class WorkLog:
             "rss_mb": peak_mb(),
             **more,
             "seconds": seconds,
-            "walls": self.walls(walls),
+            "walls": self._walls(),
         }
         append_line(self.path, row)
 
@@ -120,12 +110,14 @@ class WorkLog:
         of the last time.
         """
         last = {(row["work"], row["key"]): row for row in self.rows()}
-        wanted = [(ANALYSIS, analysis), *((CHUNK, key) for key in chunks)]
-        used = [last[w] for w in wanted if w in last]
         stretches = last.get((ANALYSIS, analysis), {}).get("stretches", ())
+        names = list(chunks)
+        wanted = [(STRETCH, name) for name in stretches]
+        wanted += [(ANALYSIS, analysis), *((CHUNK, name) for name in names)]
+        used = [last[w] for w in wanted if w in last]
         seconds: Any = Counter()
         stages: Any = Counter()
-        walls = self.walls({})
+        walls = self._walls()
         for row in used:
             seconds.update(row["seconds"])
             stages.update(row.get("stages", {}))
@@ -134,18 +126,11 @@ class WorkLog:
         return TimeSpent(
             seconds,
             stages,
-            tuple(
-                key
-                for work, key in wanted
-                if work == CHUNK and (work, key) not in last
-            ),
+            tuple(name for name in names if (CHUNK, name) not in last),
             sum(walls.values()),
             len(walls),
             max(peak_mb(), *(row["rss_mb"] for row in used), 0.0),
-            _workers(
-                [last[STRETCH, name] for name in stretches if (STRETCH, name) in last]
-                + used
-            ),
+            _workers(used),
         )
 
 

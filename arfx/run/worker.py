@@ -35,14 +35,13 @@ from arfx.media.depth_maps import DepthMaps
 from arfx.media.frame import Frame
 from arfx.media.output import OutputPlan
 from arfx.media.writer import ChunkWriter, chunk_suffix, remove_output
-from arfx.run.background_io import behind
 from arfx.run.folder import JobFolder, Lines, content_digest, disk_error, save_preview
-from arfx.run.frame import run_frame
+from arfx.run.frame import real_depth_layer, run_frame
 from arfx.run.inputs import job_depth, job_model
 from arfx.run.memory import peak_mb
 from arfx.run.parameters import make_stages, parameters
 from arfx.run.planned import ClipAnalysis
-from arfx.run.source import real_depth_layer, source_at
+from arfx.run.source import behind, job_frame
 
 _OPENING = threading.Lock()  # what threads share is made once
 
@@ -56,15 +55,13 @@ class Context:
     folder: JobFolder
     info: ClipInfo
     output: OutputPlan
+    analysed: ClipAnalysis
     scene: Scene
     stages: dict[str, Stage]
-    pts: list[int]
-    previews: frozenset[int]
     facts: Lines[FrameFacts]
     plans: Lines[FramePlan]
-    depth: DepthMaps | None = None
-    careful: bool = False
-    colours: np.ndarray | None = None
+    depth: DepthMaps | None
+    colours: np.ndarray | None
     ready: dict[tuple[str, str], ReadyStage] = field(default_factory=dict)
 
 
@@ -104,39 +101,40 @@ def process_name() -> str:
     return f"{re.sub('[^0-9A-Za-z]', '', socket.gethostname())[:32] or 'host'}-{os.getpid()}"
 
 
-def frozen_job(folder: JobFolder, paths: Paths) -> JobConfig:
+def frozen_job(
+    folder: JobFolder, paths: Paths
+) -> tuple[JobConfig, ClipInfo, Camera, OutputPlan]:
     """The job as its folder keeps it."""
     moved: dict[str, dict[str, str]] = {}
     for section, name, place in paths:
         moved.setdefault(section, {})[name] = place
-    return load(folder.job, moved, parameters())
+    config = load(folder.job, moved, parameters())
+    inputs = json.loads(folder.inputs.read_text(encoding="utf-8"))
+    assert config.input.clip is not None
+    return (
+        config,
+        probe(config.input.clip, Transfer(config.input.transfer)),
+        Camera.from_json(inputs["camera"]),
+        OutputPlan.from_json(inputs["output"]),
+    )
 
 
 @lru_cache(maxsize=1)
 def open_context(path: str, job_key: str, paths: Paths) -> Context:
     """The context of a job. job_key only keeps two jobs that reuse a folder apart."""
     folder = JobFolder(Path(path))
-    config = frozen_job(folder, paths)
-    inputs = json.loads(folder.inputs.read_text(encoding="utf-8"))
+    config, info, camera, output = frozen_job(folder, paths)
     analysed = ClipAnalysis.read(folder)
-    assert config.input.clip is not None
-    info = probe(config.input.clip, Transfer(config.input.transfer))
-    scene = analysed.scene(
-        config, Camera.from_json(inputs["camera"]), job_model(config), folder
-    )
-    output = OutputPlan.from_json(inputs["output"])
     return Context(
         folder,
         info,
         output,
-        scene,
+        analysed,
+        analysed.scene(config, camera, job_model(config), folder),
         make_stages(config),
-        analysed.pts,
-        frozenset(analysed.previews),
         Lines(folder.facts, FrameFacts.from_line, header=1),
         Lines(folder.plan, FramePlan.from_line),
         job_depth(config),
-        analysed.careful,
         from_bt709(info.primaries_tag),
     )
 
@@ -162,6 +160,7 @@ def render_chunk(
     keep_memory()
     with _OPENING:
         context = open_context(folder, job_key, paths)
+    analysed = context.analysed
     facts = {f.index: f for f in context.facts[first : last + 1]}
     plans = {p.index: p for p in context.plans[first : last + 1]}
     start = time.perf_counter()
@@ -192,14 +191,13 @@ def render_chunk(
         f"{process_name()}-{threading.get_ident()}-{final.name}{suffix}"
     )
     try:
-        source = source_at(
-            context.info, context.pts, first, 0 if alone else 1, context.careful
-        )
         with ChunkWriter(context.output, context.info, aside) as writer:
             with behind(encode) if alone else nullcontext(encode) as put:
                 for index in range(first, last + 1):
                     start = time.perf_counter()
-                    frame = source.next()
+                    frame = job_frame(
+                        context.info, analysed.pts, index, alone, analysed.careful
+                    )
                     seconds["decode"] += time.perf_counter() - start
                     if frame is None:
                         raise RenderError(
@@ -216,7 +214,7 @@ def render_chunk(
                         seconds,
                         stage_seconds,
                     )
-                    if index in context.previews:
+                    if index in analysed.previews:
                         save_preview(context.folder.previews, index, frame, out)
                     put(out)
                     tick()

@@ -83,8 +83,7 @@ def job_config(given: dict[str, Any], more: Sequence[JobFile] = ()) -> JobConfig
 def run_options(given: dict[str, Any], progress: Progress) -> Options:
     """How the job is run, from the parsed options that say so. Raises ConfigError."""
     from arfx.errors import ConfigError
-    from arfx.run.cluster.paths import PathMap
-    from arfx.run.cluster.spec import ClusterSpec
+    from arfx.run.cluster.spec import ClusterSpec, PathMap
     from arfx.run.job import Options
 
     count, executor, maps = given["workers"], given["executor"], given["map_path"]

@@ -9,7 +9,6 @@ import shutil
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,10 +22,9 @@ from arfx.config.sections import JobConfig
 from arfx.errors import RenderError
 from arfx.run import job as jobs
 from arfx.run import stretches
-from arfx.run.cluster import dispatch, files, start
+from arfx.run.cluster import files, pool, start
 from arfx.run.cluster.agreement import OPENGL, OPENS, differences, environment
-from arfx.run.cluster.paths import PathMap
-from arfx.run.cluster.spec import ClusterSpec
+from arfx.run.cluster.spec import ClusterSpec, PathMap
 from arfx.run.cluster.start import Cluster
 from arfx.run.executors import Task
 from arfx.run.folder import JobFolder, content_digest
@@ -103,15 +101,29 @@ def connected(
         yield client, Cluster(client, spec, tuple(map(PathMap.parse, maps)), notice)
 
 
-def once(action: Callable[[], object], after: int = 1) -> Callable[[int], None]:
-    """Does something when so many frames are done."""
+def once(
+    action: Callable[[], object], ready: Callable[[int], object] = bool
+) -> Callable[[int], None]:
+    """Does something, once. ready : whether now, by the frames that are done"""
     left = [action]
 
     def at(done: int) -> None:
-        if done >= after and left:
+        if left and ready(done):
             left.pop()()
 
     return at
+
+
+def kill_at_work(
+    job: Job, at_work: int, pids: Sequence[int]
+) -> Callable[[int], None]:
+    """Ends the processes as soon as one of them is rendering a chunk."""
+
+    def kill() -> None:
+        for pid in pids:
+            os.kill(pid, signal.SIGKILL)
+
+    return once(kill, lambda _: [*job.folder.chunks.glob(f"*-{at_work}-*")])
 
 
 def test_a_running_cluster_gives_the_same_bytes(
@@ -128,12 +140,8 @@ def test_a_killed_worker_costs_its_chunk_only(
 ) -> None:
     with connected(running) as (client, cluster):
         pids = list(client.run(os.getpid).values())
-        assert (
-            rendered(
-                planned, cluster, once(partial(os.kill, pids[0], signal.SIGKILL))
-            )
-            == serial
-        )
+        kill = kill_at_work(planned, pids[0], pids[:1])
+        assert rendered(planned, cluster, kill) == serial
 
 
 def test_a_chunk_that_is_lost_with_too_many_workers_is_named(planned: Job) -> None:
@@ -144,11 +152,7 @@ def test_a_chunk_that_is_lost_with_too_many_workers_is_named(planned: Job) -> No
         with pytest.raises(
             RenderError, match=r"frames \d+–\d+: too many workers were lost"
         ):
-            rendered(
-                planned,
-                cluster,
-                once(lambda: [os.kill(pid, signal.SIGKILL) for pid in pids]),
-            )
+            rendered(planned, cluster, kill_at_work(planned, pids[0], pids))
 
 
 def test_a_worker_that_differs_gets_no_work(
@@ -249,7 +253,7 @@ def test_other_mount_points_are_mapped(
 def test_a_copy_of_the_job_folder_is_not_the_job_folder(
     running: Farm, planned: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(dispatch, "ARRIVE_S", 0.5)
+    monkeypatch.setattr(pool, "ARRIVE_S", 0.5)
     planned.folder.clear("chunks/")
     maps = f"{planned.folder.path}={shutil.copytree(planned.folder.path, tmp_path / 'job')}"
     with (
@@ -279,9 +283,8 @@ def test_workers_that_do_not_see_the_job_folder_use_a_store(
     assert "facts.jsonl" in seen and not [*store.rglob("*")], (
         "what was put there is gone"
     )
-    assert len([*planned.folder.previews.iterdir()]) == 2 * len(
-        planned.analysed.previews
-    )
+    previews = [*planned.folder.previews.iterdir()]
+    assert len(previews) == len(planned.analysed.previews)
 
 
 FACTS = "facts.jsonl", "frames.json", "environment.maps"
@@ -368,15 +371,15 @@ def test_a_worker_that_is_killed_with_a_stretch_costs_that_only(
     told = list[str]()
     with connected(running, notice=told.append) as (client, cluster):
         pids = list(client.run(os.getpid).values())
-        hear = dispatch.Dispatch._submit
+        submit_run = pool.Pool._submit
 
-        def submit(self: dispatch.Dispatch, run: Sequence[Task]) -> Any:
+        def submit(self: pool.Pool, run: Sequence[Task]) -> Any:
             if pids:
                 os.kill(pids.pop(), signal.SIGKILL)
                 pids.clear()
-            return hear(self, run)
+            return submit_run(self, run)
 
-        monkeypatch.setattr(dispatch.Dispatch, "_submit", submit)
+        monkeypatch.setattr(pool.Pool, "_submit", submit)
         with analysed(cut_clip, tmp_path / "job", cluster) as (_, facts, rows):
             assert facts == found[1] and os.getpid() not in {
                 row["pid"] for row in rows
@@ -404,14 +407,16 @@ def test_stretches_go_through_a_store_with_all_that_they_need(
 
         def analysing(*about: Any) -> Any:
             (clip.parent / "print.png").rename(hidden)
-            run = cluster.analysing(*about)
+            run = cluster.run(*about)
             return lambda *task: (
                 seen.update(p.name for p in store.rglob("*")) or result
                 for result in run(*task)
             )
 
         try:
-            with analysed(cut_clip, job, SimpleNamespace(analysing=analysing)) as (
+            with analysed(
+                cut_clip, job, SimpleNamespace(run=analysing, workers=2)
+            ) as (
                 _,
                 facts,
                 rows,
@@ -463,7 +468,7 @@ def test_a_lost_scheduler_ends_in_one_message(
         with pytest.raises(
             RenderError, match=r"connection to the scheduler at tcp://.* is lost"
         ):
-            rendered(planned, cluster, once(own.process.kill, after=16))
+            rendered(planned, cluster, once(own.process.kill))
     assert not capfd.readouterr().err, "Dask has nothing to add"
     assert any(
         find_chunk(planned.folder.chunks, chunk.name, ".mkv")
@@ -503,11 +508,11 @@ def test_a_job_that_is_stopped_with_its_cluster_is_resumed(
 ) -> None:
     """As Ctrl-C at a terminal, which all processes see; and when there is no time for anything."""
     arguments = material.arguments("-o", "out.mkv", "--codec", "ffv1", "--job", "job")
-    # two chunks of 15 frames are at work: with 22 frames in all, one may be done
+    # two chunks of 15 frames are at work, and a third of 6 when one of them is done
     stopped = at_a_moment(
         tmp_path,
         "render",
-        "+22",
+        "+15",
         number,
         [*arguments, "--executor", "local:2"],
         number == signal.SIGINT,

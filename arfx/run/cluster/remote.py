@@ -2,15 +2,15 @@
 stretches and renders chunks.
 
 What it is sent are places, digests and numbers of frames; what it returns are names and
-times. It tells how far it is by events, and leaves a chunk that nobody wants any more."""
+times."""
 
 from __future__ import annotations
 
+import asyncio
 import os
 import shutil
 import socket
 import tempfile
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,31 +27,26 @@ from arfx.run.cluster.agreement import (
     differences,
     environment,
 )
-from arfx.run.cluster.files import Bundle, find
-from arfx.run.cluster.paths import is_url
-from arfx.run.cluster.store import Store
+from arfx.run.cluster.files import Bundle, Store, find
+from arfx.run.cluster.spec import is_url
 from arfx.run.executors import Work
-from arfx.run.folder import JobFolder, content_digest
-from arfx.run.schedule import find_chunk
+from arfx.run.folder import JobFolder
 from arfx.run.stretches import analyse_stretch, listed
 from arfx.run.worker import Paths, render_chunk
-
-TELL_S = 0.5  # between two events of a chunk or stretch
 
 
 @dataclass(frozen=True)
 class JobReference:
     """What a worker has to know of a run of a job.
 
-    run : names it, the topic of its events and the resource of workers that may work
-    key : of the job, or of its analysis;  suffix : of the chunks' files, None = stretches
-    are wanted
+    run : names it, and is the resource of workers that may work
+    key : of the job, or of its analysis;  rendering : else stretches are wanted
     folders : places of the job folder (`paths.places`), and of a store, if there is one
     """
 
     run: str
     key: str
-    suffix: str | None
+    rendering: bool
     folders: tuple[str, ...]
     bundles: tuple[Bundle, ...]
 
@@ -73,12 +68,27 @@ _MOST = 8  # jobs that a worker keeps in mind
 _placed: dict[str, _Placed] = {}  # by run
 
 
-def examine(here: Mapping[str, str], job: JobReference | None) -> tuple[str, str]:
+async def examine(
+    here: Mapping[str, str], job: JobReference | None, dask_worker: Any
+) -> tuple[str, str]:
     """(name and host of this worker, why it can do nothing for a process with the
     environment `here`, "" = it can: then it gets tasks of the job).
     """
+    from distributed.core import Status
+
+    refused = await asyncio.to_thread(
+        _refusal, here, job, dask_worker.local_directory
+    )
+    if job is not None and not refused:
+        await dask_worker.set_resources(**{job.run: dask_worker.state.nthreads})
+        # Dask gives tasks that wait for a worker to one that it sees wake
+        dask_worker.status = Status.paused
+        dask_worker.status = Status.running
+    return f"{dask_worker.name} ({socket.gethostname()})", refused
+
+
+def _refusal(here: Mapping[str, str], job: JobReference | None, scratch: str) -> str:
     import cv2
-    from distributed.utils import sync
 
     cv2.setNumThreads(1)
     for variable, one in ONE_THREAD.items():
@@ -87,30 +97,15 @@ def examine(here: Mapping[str, str], job: JobReference | None) -> tuple[str, str
         name.removeprefix(STAGE) for name in here if name.startswith(STAGE)
     )
     there = environment(plugins, PROCESSOR in here, OPENGL in here)
-    refused = ", ".join(differences(here, there))
-    worker = _worker()
-    if job is not None and not refused:
-        refused = _place(job)
-        if not refused:
-            sync(worker.loop, _offer, worker, job.run)
-    return f"{worker.name} ({socket.gethostname()})", refused
+    differing = ", ".join(differences(here, there))
+    return differing or ("" if job is None else _place(job, scratch))
 
 
-async def _offer(worker: Any, run: str) -> None:
-    """Have the scheduler give tasks of a run to this worker: it gives those that wait for
-    a worker to one that it sees wake."""
-    from distributed.core import Status
-
-    await worker.set_resources(**{run: worker.state.nthreads})
-    worker.status = Status.paused
-    worker.status = Status.running
-
-
-def _place(job: JobReference) -> str:
+def _place(job: JobReference, scratch: str) -> str:
     """Find all that the job reads. Returns why this worker cannot see it; "" where it can."""
     try:
         paths = tuple((b.section, b.key, str(find(b))) for b in job.bundles)
-        _placed[job.run] = _folder(job, paths)
+        _placed[job.run] = _folder(job, paths, scratch)
     except ArfxError as e:
         return e.message
     except OSError as e:
@@ -122,58 +117,42 @@ def _place(job: JobReference) -> str:
     return ""
 
 
-def _folder(job: JobReference, paths: Paths) -> _Placed:
-    reasons, rendering = [], job.suffix is not None
+def _folder(job: JobReference, paths: Paths, scratch: str) -> _Placed:
+    reasons = []
     for there in job.folders:
         store, folder = None, JobFolder(Path(there))
         if is_url(there):
             store = Store(there)
-            scratch = tempfile.mkdtemp(prefix="arfx-", dir=_worker().local_directory)
-            folder = store.get_job(Path(scratch), rendering)
+            copy = tempfile.mkdtemp(prefix="arfx-", dir=scratch)
+            folder = store.get_job(Path(copy), job.rendering)
         if not folder.path.is_dir():
             reasons.append(f"job folder {there}: no such folder")
-        elif folder.sealed(job.key) if rendering else listed(folder, job.key):
+        elif folder.sealed(job.key) if job.rendering else listed(folder, job.key):
             return _Placed(job, folder, paths, store)
         else:
             reasons.append(f"{there} holds another job")
     raise RenderError("; ".join(reasons))
 
 
-class UnwantedError(Exception):
-    """Raised to leave a chunk or stretch."""
-
-
 def work(run: str, tasks: Sequence[tuple[int, int, str]]) -> list[dict[str, Any]]:
     """Do tasks (first and last frame, name of the file) of the job that was placed here,
-    as `render_chunk` or `analyse_stretch` does, but for those whose files are there."""
+    as `render_chunk` or `analyse_stretch` does."""
     return [_work(_placed[run], *task) for task in tasks]
 
 
 def _work(placed: _Placed, first: int, last: int, name: str) -> dict[str, Any]:
-    worker, job, folder = _worker(), placed.job, placed.folder
-    token, done, told = worker.get_current_task(), 0, time.monotonic()
+    from distributed import get_worker
 
-    def tick() -> None:
-        nonlocal done, told
-        done += 1
-        if time.monotonic() - told > TELL_S:
-            told = time.monotonic()
-            task = worker.state.tasks.get(token)
-            if task is None or task.state == "cancelled":
-                raise UnwantedError
-            worker.log_event(job.run, {"first": first, "frames": done})
-
+    worker, job, folder, store = (
+        get_worker().name,
+        placed.job,
+        placed.folder,
+        placed.store,
+    )
     do: Work = render_chunk
     target = folder.chunks / name
-    if job.suffix is None:
+    if not job.rendering:
         do, target = analyse_stretch, folder.stretches / name
-        made = target if target.exists() else None
-    else:
-        made = find_chunk(folder.chunks, name, job.suffix)
-    if (
-        made is not None and placed.store is None
-    ):  # by a worker that was lost after that
-        return {"file": made.name, "first": first, "last": last}
     try:
         result = do(
             str(folder.path),
@@ -181,15 +160,15 @@ def _work(placed: _Placed, first: int, last: int, name: str) -> dict[str, Any]:
             first,
             last,
             str(target),
-            tick,
+            lambda: None,
             paths=placed.paths,
         )
-        if placed.store is not None:
-            _hand_over(placed.store, folder, target.with_name(result["file"]), result)
-        return {**result, "worker": str(worker.name)}
+        if store is not None:
+            _hand_over(store, folder, target.with_name(result["file"]), result)
+        return {**result, "worker": str(worker)}
     except ArfxError as e:
         failed = type(e)(
-            f"{e.message} (on worker {worker.name}, {socket.gethostname()})", e.hint
+            f"{e.message} (on worker {worker}, {socket.gethostname()})", e.hint
         )
     # raised here, it has no context: Dask would send that too, and FFmpeg's errors cannot be
     raise failed
@@ -198,19 +177,10 @@ def _work(placed: _Placed, first: int, last: int, name: str) -> dict[str, Any]:
 def _hand_over(
     store: Store, folder: JobFolder, file: Path, result: dict[str, Any]
 ) -> None:
-    """A chunk's previews, then the file, into the store; there the names of all end with
-    the digest of the content.
-    """
+    """A chunk's previews, then the file, into the store."""
     for index in range(result["first"], result["last"] + 1):
         for path in folder.previews.glob(f"{index:06d}.*"):
             store.put(path, f"previews/{path.name}")
             path.unlink()
-    more = f".{content_digest(file)}" if file.parent == folder.stretches else ""
-    store.put(file, f"{file.parent.name}/{file.name}{more}")
+    store.put(file, f"{file.parent.name}/{file.name}")
     remove_output(file)
-
-
-def _worker() -> Any:
-    from distributed import get_worker
-
-    return get_worker()

@@ -11,26 +11,30 @@ import tempfile
 import uuid
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from arfx.core import interrupt
 from arfx.core.parallel import ONE_THREAD
-from arfx.errors import ConfigError
-from arfx.media.writer import chunk_suffix
+from arfx.errors import ConfigError, RenderError
 from arfx.run.analysis import Run
 from arfx.run.cluster.agreement import OPENGL, OPENS, environment
-from arfx.run.cluster.crew import Crew
-from arfx.run.cluster.dispatch import Dispatch
-from arfx.run.cluster.files import bundles
-from arfx.run.cluster.paths import PathMap, is_url, places
+from arfx.run.cluster.files import Store, bundles
+from arfx.run.cluster.pool import Pool
 from arfx.run.cluster.remote import JobReference
-from arfx.run.cluster.spec import ADDRESS, LOCAL, ClusterSpec, library
-from arfx.run.cluster.store import Store
+from arfx.run.cluster.spec import (
+    ADDRESS,
+    LOCAL,
+    ClusterSpec,
+    PathMap,
+    is_url,
+    library,
+    places,
+)
 from arfx.run.executors import Done, Results, Task
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import Inputs
 from arfx.run.parameters import pipeline
-from arfx.run.planned import Job
 from arfx.stages import STAGES
 
 CONNECT_S, CLOSE_S = 7, 3
@@ -42,98 +46,85 @@ _SETTINGS = {
 }
 
 
+@dataclass
 class Cluster:
-    """A cluster that is there. workers : how many stretches or chunks are done at once, as
-    far as that is known
+    """A cluster that is there.
 
-    own : as in Dispatch"""
+    workers : how many stretches or chunks are done at once, as far as that is known"""
 
-    def __init__(
+    client: Any
+    spec: ClusterSpec
+    maps: Sequence[PathMap]
+    notice: Callable[[str], None]
+
+    def __post_init__(self) -> None:
+        self.workers = self.spec.workers
+        if self.spec.kind == ADDRESS:
+            pool = Pool(self.client, environment(), None, self.notice)
+            pool.look()
+            pool.check()  # before any work, if none of its workers can be used
+            self.workers = pool.slots or 1
+
+    def run(
         self,
-        client: Any,
-        spec: ClusterSpec,
-        maps: Sequence[PathMap],
-        notice: Callable[[str], None],
-        own: Callable[[], bool] | None = None,
-    ) -> None:
-        self._client, self._maps, self._notice, self._own = client, maps, notice, own
-        self.workers = spec.workers
-        if spec.kind == ADDRESS:
-            crew = Crew(client, environment(), None, notice)
-            crew.gathered()
-            crew.check()  # before any work, if none of its workers can be used
-            self.workers = crew.slots or 1
-
-    def render(self, tasks: Sequence[Task], progress: Done, job: Job) -> Results:
-        """Render the tasks of a job whose folder this process holds; see `Dispatch.results`."""
-        suffix = chunk_suffix(job.inputs.output)
-        with self._dispatch(job.inputs, job.folder, job.key, suffix) as dispatch:
-            yield from dispatch.results(tasks, progress, self.workers)
-
-    def analysing(
-        self, inputs: Inputs, folder: JobFolder, key: str, here: Run
+        inputs: Inputs,
+        folder: JobFolder,
+        key: str,
+        rendering: bool,
+        here: Run,
     ) -> Run:
-        """Has the stretches of a job analysed.
+        """Has chunks of a job rendered whose folder this process holds, or its stretches
+        analysed; see `Pool.results`.
 
-        Workers with another processor may not: with one that libraries choose other code
-        for, facts differ in their last digits.
-        key : of the analysis;  here : how this machine does it where all are refused"""
+        Workers with another processor may not analyse: with one that libraries choose other
+        code for, facts differ in their last digits.
+        key, rendering : as of `JobReference`;  here : how this machine analyses, where all are
+        refused"""
 
-        def run(
-            tasks: Iterator[Task], count: int, frames: int, progress: Done
-        ) -> Results:
-            if count <= 1:
-                yield from here(tasks, count, frames, progress)
+        def run(tasks: Sequence[Task], frames: int, progress: Done) -> Results:
+            if not rendering and len(tasks) <= 1:
+                yield from here(tasks, frames, progress)
                 return
-            with self._dispatch(inputs, folder, key, None) as dispatch:
-                dispatch.crew.gathered(lambda: progress(0))
-                if why := dispatch.crew.refusal():
-                    self._notice(f"this machine analyses the clip alone: {why}")
-                    yield from here(tasks, count, frames, progress)
+            with self._pool(inputs, folder, key, rendering) as pool:
+                pool.look()
+                if not rendering and (why := pool.refusal()):
+                    self.notice(f"this machine analyses the clip alone: {why}")
+                    yield from here(tasks, frames, progress)
                 else:
-                    yield from dispatch.results([*tasks], progress, self.workers)
+                    yield from pool.results(tasks, progress, self.workers)
 
         return run
 
     @contextlib.contextmanager
-    def _dispatch(
-        self, inputs: Inputs, folder: JobFolder, key: str, suffix: str | None
-    ) -> Iterator[Dispatch]:
-        """A job placed where workers find it. If that is a store, the job's files are put
-        there, and it is emptied when the body is done.
+    def _pool(
+        self, inputs: Inputs, folder: JobFolder, key: str, rendering: bool
+    ) -> Iterator[Pool]:
+        """Of a job that is placed where workers find it. If that is a store, the job's
+        files are put there, and it is emptied when the body is done.
 
-        key, suffix : as of `JobReference`
+        key, rendering : as of `JobReference`
         """
-        folders = places(folder.path.absolute(), self._maps)
-        seen, rendering = (
-            [there for there in folders if not is_url(there)],
-            suffix is not None,
-        )
-        store = next(
-            (
-                Store(f"{there.rstrip('/')}/{key}")
-                for there in folders
-                if is_url(there)
-            ),
-            None,
-        )
-        if store is not None:
+        folders = places(folder.path.absolute(), self.maps)
+        seen = [there for there in folders if not is_url(there)]
+        store = None
+        if len(seen) < len(folders):
+            store = Store(f"{folders[len(seen)].rstrip('/')}/{key}")
             store.put_job(folder, rendering)
             seen.append(store.url)
-        files = bundles(inputs, self._maps, rendering)
+        files = bundles(inputs, self.maps, rendering)
         job = JobReference(
-            f"arfx-{uuid.uuid4().hex}", key, suffix, tuple(seen), files
+            f"arfx-{uuid.uuid4().hex}", key, rendering, tuple(seen), files
         )
         plugins = [name for name in pipeline(inputs.config) if name in STAGES.plugins]
-        notice = self._notice if rendering else lambda _: None
         here = environment(plugins, not rendering)
         if rendering and inputs.config.params["raster"].backend == "pyrender":
             here[OPENGL] = OPENS
-        crew = Crew(self._client, here, job, notice)
-        yield Dispatch(self._client, crew, job, store, self._own, self._notice)
-        if store is not None:
-            store.take_previews(folder.previews)
-            store.remove()
+        try:
+            yield Pool(self.client, here, job, self.notice, store)
+        finally:
+            if store is not None:
+                store.take_previews(folder.previews)
+                store.remove()
 
 
 @contextlib.contextmanager
@@ -180,8 +171,7 @@ def open_cluster(
         stack.callback(_close, client)
         if spec.kind == ADDRESS and client.dashboard_link:
             notice(f"dashboard: {client.dashboard_link}")
-        own = (lambda: _is_running(cluster)) if spec.kind == LOCAL else None
-        yield Cluster(client, spec, maps, notice, own)
+        yield Cluster(client, spec, maps, notice)
 
 
 async def _greet(address: str) -> None:
@@ -204,19 +194,23 @@ def _start_local(spec: ClusterSpec, scratch: str) -> Any:
     # the threads of the cluster, and what they start, never see Ctrl-C: that is this
     # process's affair
     with interrupt.starting_workers():
-        cluster = LocalCluster(
-            n_workers=0,
-            threads_per_worker=1,
-            processes=True,
-            host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",
-            memory_limit=0,
-            local_directory=scratch,
-            silence_logs=logging.CRITICAL,
-            env=ONE_THREAD,
-        )
-        cluster.scale(spec.workers)
-    return cluster
+        try:
+            return LocalCluster(
+                n_workers=spec.workers,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address="127.0.0.1:0",
+                memory_limit=0,
+                local_directory=scratch,
+                silence_logs=logging.CRITICAL,
+                env=ONE_THREAD,
+            )
+        except RuntimeError:
+            raise RenderError(
+                "no worker of the local cluster starts",
+                "--workers N renders without a cluster",
+            ) from None
 
 
 def _start_slurm(spec: ClusterSpec, scratch: str) -> Any:
@@ -246,12 +240,6 @@ def _start_slurm(spec: ClusterSpec, scratch: str) -> Any:
             ) from None
         cluster.scale(jobs=spec.settings["jobs"])
     return cluster
-
-
-def _is_running(cluster: Any) -> bool:
-    """Whether not all processes of a local cluster ended before they were workers."""
-    workers = cluster.workers.values()
-    return not workers or any(w.status.name != "failed" for w in workers)
 
 
 def _close(opened: Any) -> None:

@@ -19,7 +19,7 @@ from arfx.media.frames import ClipReader, late_frames, missing_frames
 from arfx.run import stretches
 from arfx.run.job import Options, process
 from arfx.run.parameters import parameters
-from arfx.run.source import Source
+from arfx.run.source import job_frame, release
 from tests.clips import MARKER, write_camera, write_clip, write_model
 from tests.unit.media.clips import make_clip, packets
 from tests.unit.run.test_stretches import analysed, shuffled, threads
@@ -181,16 +181,17 @@ def test_pictures_with_guessed_parts_are_the_same_for_all(
     for k, run in enumerate((shuffled, threads(2))):
         found = analysed(clip, tmp_path / f"{k}", run)
         assert found.damaged and found.careful and not found.truncated
-    source, info = Source(probe(clip), found.pts, 40, 0, found.careful), probe(clip)
+    info = probe(clip)
     with ClipReader(info, careful=True) as reader:
         every = {f.pts: f.luma().copy() for f in reader.frames()}
-    for pts in found.pts[40:60]:
-        frame = source.next()
+    for index, pts in enumerate(found.pts[40:60], 40):
+        frame = job_frame(info, found.pts, index, True, found.careful)
         assert (
             frame is not None
             and frame.pts == pts
             and np.array_equal(frame.luma(), every[pts])
         )
+    release()
 
 
 def test_a_clip_that_ends_in_damage_is_still_said_to_be_cut(

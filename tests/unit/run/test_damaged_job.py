@@ -114,7 +114,7 @@ WAYS: dict[str, Callable[[bytes], bytes]] = {
 }
 FILES = [
     "inputs.json", "frames.json", "facts.jsonl", "plan.jsonl", "plan_summary.json", "seal.json", "timings.jsonl", "report.json",
-    "chunks/*.nut", "previews/*.in.bmp", "job.toml",
+    "chunks/*.nut", "previews/*.bmp", "job.toml",
 ]  # fmt: skip
 
 

@@ -149,8 +149,7 @@ def test_an_error_beside_the_workers_stops_them(
 
     monkeypatch.setattr(job, "chunk_suffix", lambda _: ".nut")
     planned: Any = SimpleNamespace(
-        folder=JobFolder(tmp_path), inputs=SimpleNamespace(output=None), facts=[], key="", log=SimpleNamespace(note=full),
-        scene=scene(),
+        folder=JobFolder(tmp_path), inputs=SimpleNamespace(output=None, camera=scene().camera), facts=[], key="", log=SimpleNamespace(note=full),
     )  # fmt: skip
     processes: Any = SimpleNamespace(run=run)
     with pytest.raises(

@@ -9,7 +9,7 @@ import threading
 import pytest
 
 from arfx.errors import ConfigError
-from arfx.run.cluster import crew, start
+from arfx.run.cluster import pool, start
 from arfx.run.cluster.spec import ClusterSpec
 
 
@@ -19,7 +19,7 @@ def test_what_is_no_scheduler_or_silent_is_told_soon(
 ) -> None:
     pytest.importorskip("distributed")
     assert (
-        start.CONNECT_S + start.CLOSE_S <= 10 and crew.SILENT_S + start.CLOSE_S <= 10
+        start.CONNECT_S + start.CLOSE_S <= 10 and pool.SILENT_S + start.CLOSE_S <= 10
     )
     monkeypatch.setattr(start, "CONNECT_S", 0.5)
     with socket.create_server(("127.0.0.1", 0)) as server:

@@ -235,7 +235,7 @@ def test_places_that_cannot_be_a_jobs(
 @pytest.mark.parametrize(
     "held",
     [
-        "notes.txt", "clip.mp4", "chunks/clip.mp4", "chunks/notes/a.txt", "previews/holiday.bmp", "previews/000001.in.bmp",
+        "notes.txt", "clip.mp4", "chunks/clip.mp4", "chunks/notes/a.txt", "previews/holiday.bmp", "previews/000001.bmp",
         "report.json", "facts.jsonl", "job.toml", "timings.jsonl.part", "joined.part/holiday.jpg", "0001.png", "lock",
         f"chunks/000000-000029.{KEY}.{KEY}/letter.txt",
     ],
@@ -313,7 +313,7 @@ def test_what_a_job_wrote_is_cleared_and_nothing_else(tmp_path: Path) -> None:
     )
     for name in (
         "inputs.json", "facts.jsonl", "environment.maps", "report.json", f"chunks/000000-000029.{KEY}.{KEY}.nut", *images,
-        "previews/000001.in.bmp", ".arfx-12-0a1b2c3d.part", "joined.part", "seal.json", "placed.json", "stretches.json",
+        "previews/000001.bmp", ".arfx-12-0a1b2c3d.part", "joined.part", "seal.json", "placed.json", "stretches.json",
         f"stretches/000000-000124.{KEY}", "stretches/.arfx-12-0a1b2c3d.part",
     ):  # fmt: skip
         (job.path / name).parent.mkdir(parents=True, exist_ok=True)

@@ -6,19 +6,27 @@ import contextlib
 import signal
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from arfx.errors import JobInterruptedError, RenderError
-from arfx.media.clip import probe
+from arfx.media.clip import ClipInfo, probe
+from arfx.media.frame import Frame
 from arfx.media.frames import ClipReader
 from arfx.run import executors
 from arfx.run import source as source_module
 from arfx.run.folder import JobFolder
 from arfx.run.job import _interruptible
-from arfx.run.source import Source, release, source_at, stretch_at
+from arfx.run.source import (
+    clip_frames,
+    frames_kept,
+    job_frame,
+    keep_frame,
+    release,
+)
 from tests.clips import write_clip
 
 
@@ -31,61 +39,74 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
 
 
+@pytest.fixture(autouse=True)
+def released() -> Iterator[None]:
+    yield
+    release()
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
+    """One for each time that a clip was opened."""
+    found: list[bool] = []
+    open_reader = ClipReader._open
+    monkeypatch.setattr(
+        ClipReader, "_open", lambda self: found.append(True) or open_reader(self)
+    )
+    return found
+
+
+def times_of(info: ClipInfo) -> list[int]:
+    with ClipReader(info) as reader:
+        return [f.pts for f in reader.frames()]
+
+
+def frame_of(info: ClipInfo, pts: list[int], index: int) -> Frame | None:
+    return job_frame(info, pts, index, alone=True, careful=False)
+
+
 def test_a_source_gives_the_frames_of_the_job_and_skips_others(clip: Path) -> None:
     info = probe(clip)
-    with ClipReader(info) as reader:
-        pts = [f.pts for f in reader.frames()]
-    wanted = pts[3::2]
-    source = Source(info, wanted, 1, threads=0, careful=False)
-    got = [source.next() for _ in wanted[1:]]
-    assert [f.pts for f in got if f is not None] == wanted[1:]
+    wanted = times_of(info)[3::2]
+    got = [frame_of(info, wanted, index) for index in range(1, len(wanted))]
+    assert [(f.index, f.pts) for f in got if f is not None] == [
+        *enumerate(wanted[1:], 1)
+    ]
 
 
-def test_a_frame_that_is_not_there_is_told_and_nothing_after_it_is_given(
-    clip: Path,
+def test_a_frame_that_is_not_there_is_told(clip: Path) -> None:
+    info = probe(clip)
+    pts = times_of(info)
+    wanted = [pts[0], pts[1] + 1, pts[3]]
+    assert frame_of(info, wanted, 0) is not None
+    assert frame_of(info, wanted, 1) is None and frame_of(info, wanted, 1) is None
+
+
+def test_the_next_chunk_reads_on_and_any_other_starts_anew(
+    clip: Path, opened: list[bool]
 ) -> None:
     info = probe(clip)
-    with ClipReader(info) as reader:
-        pts = [f.pts for f in reader.frames()]
-    source = Source(info, [pts[0], pts[1] + 1, pts[3]], 0, threads=0, careful=False)
-    assert source.next() is not None
-    assert source.next() is None and source.next() is None
-
-
-def test_the_next_chunk_reads_on_and_any_other_starts_anew(clip: Path) -> None:
-    info = probe(clip)
-    with ClipReader(info) as reader:
-        pts = [f.pts for f in reader.frames()]
-    first = source_at(info, pts, 0)
-    first.next()
-    assert source_at(info, pts, 1) is first
-    other = source_at(info, pts, 10)
-    assert (
-        other is not first
-        and (frame := other.next()) is not None
-        and frame.pts == pts[10]
-    )
-    assert source_at(info, list(pts), 11) is not other, (
-        "another job's source was taken"
-    )
-    release()
+    pts = times_of(info)
+    for index, readers in ((0, 1), (1, 1), (2, 1), (10, 2), (11, 2), (5, 3)):
+        frame = frame_of(info, pts, index)
+        assert frame is not None and frame.pts == pts[index]
+        assert len(opened) == 1 + readers
 
 
 def test_a_stretch_that_was_left_in_its_middle_is_read_from_its_start(
     clip: Path,
 ) -> None:
-    """A worker leaves one that nobody wants any more, and may be given it again."""
+    """A worker that failed in one may be given it again."""
     info = probe(clip)
-    pts = next(stretch_at(info, None, False)).pts
+    pts = next(clip_frames(info, None, False)).pts
     release()
-    source = stretch_at(info, pts, False)
-    assert stretch_at(info, pts, False) is source
+    source = clip_frames(info, pts, False)
+    assert clip_frames(info, pts, False) is source
     next(source)
-    assert next(stretch_at(info, pts, False)).pts == pts
-    source = stretch_at(info, None, False)
+    assert next(clip_frames(info, pts, False)).pts == pts
+    source = clip_frames(info, None, False)
     source.put_back(next(source), pts)
-    assert stretch_at(info, pts, False) is source
-    release()
+    assert clip_frames(info, pts, False) is source
 
 
 def fake_tasks(n: int) -> list[executors.Task]:
@@ -162,30 +183,26 @@ def test_an_interrupt_that_a_library_swallows_still_ends_the_job(
 
 
 def test_frames_of_a_short_clip_are_decoded_once(
-    clip: Path, monkeypatch: pytest.MonkeyPatch
+    clip: Path, monkeypatch: pytest.MonkeyPatch, opened: list[bool]
 ) -> None:
     """With the same samples as those that are decoded again; too many are not kept."""
     info = probe(clip)
-    opened: list[bool] = []
-    open_reader = ClipReader._open
-    monkeypatch.setattr(
-        ClipReader, "_open", lambda self: opened.append(True) or open_reader(self)
-    )
     for most, readers in ((source_module.KEPT_BYTES, 0), (1_000_000, 1)):
         monkeypatch.setattr(source_module, "KEPT_BYTES", most)
-        source_module._kept.begin(None)
-        stretch = stretch_at(info, None, False)
-        analysed = list(stretch)
+        with frames_kept():
+            analysed = list(clip_frames(info, None, False))
+            for frame in analysed:
+                keep_frame(frame)
+            release()
+            opened.clear()
+            for k, frame in enumerate(analysed):
+                again = frame_of(info, [f.pts for f in analysed], k)
+                assert again is not None and (again.index, again.pts) == (
+                    k,
+                    frame.pts,
+                )
+                assert np.array_equal(again.luma(), frame.luma())
         release()
-        opened.clear()
-        rendered = Source(
-            info, [f.pts for f in analysed], 0, threads=1, careful=False
-        )
-        for k, frame in enumerate(analysed):
-            again = rendered.next()
-            assert again is not None and (again.index, again.pts) == (k, frame.pts)
-            assert np.array_equal(again.luma(), frame.luma())
-        rendered.close()
         assert len(opened) == readers
 
 
@@ -193,10 +210,11 @@ def test_a_frame_that_was_analysed_is_decoded_again_when_it_is_rendered_twice(
     clip: Path,
 ) -> None:
     info = probe(clip)
-    source_module._kept.begin(None)
-    pts = [f.pts for f in stretch_at(info, None, False)]
-    release()
-    for _ in range(2):
-        source = Source(info, pts, 4, threads=1, careful=False)
-        assert [f.pts for _ in range(3) if (f := source.next())] == pts[4:7]
-        source.close()
+    with frames_kept():
+        pts = []
+        for frame in clip_frames(info, None, False):
+            keep_frame(frame)
+            pts.append(frame.pts)
+        for _ in range(2):
+            got = [frame_of(info, pts, index) for index in range(4, 7)]
+            assert [f.pts for f in got if f] == pts[4:7]

@@ -5,7 +5,7 @@ order.
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -129,7 +129,7 @@ def clip_of(tmp_path_factory: pytest.TempPathFactory) -> ClipOf:
 
 
 def shuffled(
-    tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]
+    tasks: Sequence[Task], frames: int, progress: Callable[[int], None]
 ) -> Results:
     every = [*tasks]
     random.Random(1).shuffle(every)
@@ -137,8 +137,8 @@ def shuffled(
 
 
 def threads(workers: int) -> Run:
-    return lambda tasks, count, frames, progress: run_threads(
-        [*tasks], workers, progress, analyse_stretch
+    return lambda tasks, frames, progress: run_threads(
+        tasks, workers, progress, analyse_stretch
     )
 
 
@@ -224,9 +224,9 @@ def stretches_of(job: Path) -> JobFolder:
 
 
 def last_first(
-    tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]
+    tasks: Sequence[Task], frames: int, progress: Callable[[int], None]
 ) -> Results:
-    return threads(1)(iter([*tasks][::-1]), count, frames, progress)
+    return threads(1)(tasks[::-1], frames, progress)
 
 
 def test_each_stretch_alone_leaves_the_same_bytes(
