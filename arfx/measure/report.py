@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from arfx.config.load import load
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts, read_facts
 from arfx.core.numerics import finite
@@ -21,7 +22,7 @@ from arfx.errors import ConfigError, InputError, RenderError
 from arfx.measure.pose_plot import STATUS_COLOUR, pose_plot
 from arfx.run.folder import JobFolder, load_previews, write
 from arfx.run.pages import render
-from arfx.run.worker import frozen_job
+from arfx.run.parameters import parameters
 
 Pictures = Sequence[tuple[int, np.ndarray, np.ndarray]]
 
@@ -143,7 +144,7 @@ def _camera_and_cubes(
     has a pose.
     """
     camera = Camera.from_json(json.loads(read_text(files.inputs, "report"))["camera"])
-    specs = {spec.key: spec for spec in frozen_job(files, ()).markers}
+    specs = {spec.key: spec for spec in load(files.job, {}, parameters()).markers}
     cubes = []
     for key, pose in report["pose"].get("world_from_marker", {}).items():
         if key in specs:
