@@ -1,7 +1,7 @@
 """Textures of a real plane, looked up where each pixel's viewing ray meets it.
 
-The lens is followed by viewing directions as `viewing.direction_grid` has them. Cost: O(pixels)
-for each texture."""
+The lens is followed by viewing directions at every GRID_PX-th pixel, linear between. Cost:
+O(pixels) for each texture."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -14,8 +14,7 @@ import numpy as np
 from arfx.core.compiled import FAST, kernel
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
-from arfx.core.vectors import vector
-from arfx.stages.viewing import between_nodes
+from arfx.stages.viewing import GRID_PX
 
 _F = np.float32
 _LEAST_LIGHT = _F(1e-6)  # share of a plane's light under which it counts as none
@@ -39,9 +38,14 @@ class PlaneView:
     plane_from_camera : pose whose z axis is the plane's normal"""
 
     def __init__(self, rect: Rect, grid: np.ndarray, plane_from_camera: Pose) -> None:
-        turned = (grid @ plane_from_camera.rotation.T).astype(np.float32)
-        self.rect, self._eye = rect, plane_from_camera.translation_m
-        self._directions = between_nodes(turned, rect)
+        left, top = rect.x0 // GRID_PX, rect.y0 // GRID_PX
+        right, bottom = (rect.x1 - 1) // GRID_PX + 2, (rect.y1 - 1) // GRID_PX + 2
+        self.rect = rect
+        self._corner = rect.x0 - left * GRID_PX, rect.y0 - top * GRID_PX
+        near = grid[top:bottom, left:right]
+        turned = near.reshape(-1, 3) @ plane_from_camera.rotation.T
+        self._directions = np.ascontiguousarray(turned.T).reshape(3, *near.shape[:2])
+        self._eye = plane_from_camera.translation_m
 
     def add(
         self,
@@ -55,12 +59,15 @@ class PlaneView:
         texture : of c channels, or one for all
         """
         linear, offset = texture.texel_from_m[:, :2], texture.texel_from_m[:, 2]
-        start = *(linear @ self._eye[:2] + offset), self._eye[2]
-        ray = np.array(start, np.float32), np.ascontiguousarray(linear, np.float32)
+        across = np.tensordot(linear, self._directions[:2], 1)
+        nodes = np.stack([*across, self._directions[2]]).astype(np.float32)
+        start = np.array(
+            [*(linear @ self._eye[:2] + offset), self._eye[2]], np.float32
+        )
         seen = np.zeros((0, 0), np.float32) if share is None else share
         weights = np.asarray(weights, np.float32)
         texels = texture.dark.reshape(-1, *texture.dark.shape[-2:])
-        _add_texture(out, self._directions, *ray, texels, weights, seen)
+        _add_texture(out, self._corner, nodes, start, texels, weights, seen)
 
 
 def shadow_ratio(
@@ -103,27 +110,43 @@ def shadow_ratio(
 
 @kernel(fastmath=FAST, error_model="numpy")
 def _add_texture(
-    out, directions, start, linear, texture, weights, share
+    out, corner, nodes, start, texture, weights, share
 ):  # pragma: no cover - compiled
     """Rows of `PlaneView.add`.
 
-    directions (h, w, 3) : of the pixels;  start (3,) : column, row and height of their eye
-    linear (2, 2) : columns and rows per metre;  texture (c or 1, rows, columns)
+    corner : the first pixel, from the first node;  texture (c or 1, rows, columns)
+    nodes (3, gh, gw) : column and row by which a ray moves on, and its rise;  start (3,) : of all
     """
     channels, height, width = out.shape
     layers, rows, columns = texture.shape
-    zero, one = _F(0), np.uintp(1)
+    x0, y0 = corner
+    cells = nodes.shape[2] - 1
+    line = np.empty((3, cells + 1), np.float32)
+    moved = np.empty((3, cells * GRID_PX), np.float32)
+    zero, step, one = _F(0), _F(1.0 / GRID_PX), np.uintp(1)
     last_u, last_v = _F(columns - 1.01), _F(rows - 1.01)
     for j in range(height):
+        cell_row, below_row = (y0 + j) // GRID_PX, _F((y0 + j) % GRID_PX) * step
+        for k in range(3):
+            above, below = nodes[k, cell_row], nodes[k, cell_row + 1]
+            for i in range(cells + 1):
+                line[k, i] = above[i] + below_row * (below[i] - above[i])
+            for q in range(cells):
+                first, left = np.uintp(q * GRID_PX), line[k, q]
+                rise = line[k, q + 1] - left
+                for i in range(GRID_PX):
+                    moved[k, first + np.uintp(i)] = left + _F(i) * step * rise
+        u, v, z = moved[0, x0 : x0 + width], moved[1, x0:], moved[2, x0:]
         for i in range(width):
-            dx, dy, dz = vector(directions[j, i])
-            distance = start[2] / -dz
-            u = start[0] + distance * (linear[0, 0] * dx + linear[0, 1] * dy)
-            v = start[1] + distance * (linear[1, 0] * dx + linear[1, 1] * dy)
-            if not (dz < zero and zero < u < last_u and zero < v < last_v):
+            meets = z[i] < zero
+            distance = start[2] / -z[i]
+            column, row = start[0] + distance * u[i], start[1] + distance * v[i]
+            u[i], v[i] = column if meets else zero, row if meets else zero
+        for i in range(width):
+            if not (zero < u[i] < last_u and zero < v[i] < last_v):
                 continue
-            column, row = np.int32(u), np.int32(v)
-            across, down = u - _F(column), v - _F(row)
+            column, row = np.int32(u[i]), np.int32(v[i])
+            across, down = u[i] - _F(column), v[i] - _F(row)
             a, b = np.uintp(column), np.uintp(row)
             value = zero
             for c in range(channels):
