@@ -82,8 +82,11 @@ def join_chunks(
         if made is not None:
             made()
         with interrupt.committing():
+            empty = plan.is_sequence and out.is_dir() and not any(out.iterdir())
+            if empty and not out.samefile(Path.cwd()):
+                out.rmdir()
             if not (plan.is_sequence and out.exists()):
-                part.replace(out)  # a new folder appears at once
+                part.replace(out)  # a new or empty folder appears at once
             else:  # it keeps its other files; each image is replaced in one step
                 for f in part.iterdir():
                     f.replace(out / f.name)
@@ -249,7 +252,8 @@ def _copied_packets(
         if last.get(number, time) - time > JUMP_S:
             jumps[number] += 1
             if not shifts:
-                shifts += ClipReader(info).shifts() or [0]
+                with ClipReader(info) as reader:
+                    shifts += reader.shifts() or [0]
         last[number] = time
         if jumps[number]:
             shift = shifts[min(jumps[number], len(shifts)) - 1] * info.time_base
