@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.depth.plane_pose import plane_poses, with_real_planes
 from arfx.analyse.depth.scale import depth_checks, with_depth
@@ -114,7 +115,7 @@ def lit(
     )
 
 
-def object_place_m(clip: Analysis, job: AnalysisJob) -> np.ndarray:
+def object_place_m(clip: Analysis, job: AnalysisJob) -> ndarray:
     """(2,) middle of the object, anchor axes."""
     if job.scene is None:
         return np.zeros(2)

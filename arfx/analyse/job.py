@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
-import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.params import AnalyseParams, LightParams
 from arfx.core.camera import Camera
@@ -29,9 +29,9 @@ class Picture(Protocol):
     @property
     def rect(self) -> Rect: ...
 
-    def linear(self, rect: Rect) -> np.ndarray: ...
+    def linear(self, rect: Rect) -> ndarray: ...
 
-    def reduced(self, width: int) -> np.ndarray: ...
+    def reduced(self, width: int) -> ndarray: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,9 +42,9 @@ class AnalysisFrame:
 
     index: int
     time_s: float
-    luma: np.ndarray
+    luma: ndarray
     picture: Picture | None = None
-    following: Callable[[], np.ndarray] | None = None
+    following: Callable[[], ndarray] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class AnalysisJob:
     params: AnalyseParams = field(default_factory=AnalyseParams)
     light: LightParams = field(default_factory=LightParams)
     marker_map: Mapping[str, Pose] | None = None
-    panorama: np.ndarray | None = None
+    panorama: ndarray | None = None
     anchor: str = MARKER
     depth: Any = None
     align: bool = True
@@ -77,7 +77,7 @@ class AnalysisJob:
     scene: Callable[[Analysis], Scene] | None = None
     progress: Callable[[str, int, int | None], None] = lambda *_: None
     light_method: Callable[..., Analysis] | None = None
-    prints: Mapping[str, np.ndarray] = field(default_factory=dict)
+    prints: Mapping[str, ndarray] = field(default_factory=dict)
     frames: int = 0
 
 
@@ -102,7 +102,7 @@ class Analysis:
     notices: tuple[str, ...] = ()
     anchor: Marker = PLANE_MARKER
     real_planes: tuple[RealPlane, ...] = ()
-    environment_maps: Mapping[str, np.ndarray] = field(
+    environment_maps: Mapping[str, ndarray] = field(
         default_factory=dict, compare=False
     )  # the facts name their contents
     frame_span: tuple[list[float], int, bool] = ([], 0, True)

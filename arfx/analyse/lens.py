@@ -18,6 +18,7 @@ from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.job import Analysis, AnalysisFrame
 from arfx.analyse.markers.corners import LIGHT, cell_px, linear_table
@@ -53,8 +54,8 @@ _HUBER = 1.5
 
 
 def side_blurs(
-    luma: np.ndarray, corners_px: np.ndarray, cells: int, table: np.ndarray
-) -> np.ndarray:
+    luma: ndarray, corners_px: ndarray, cells: int, table: ndarray
+) -> ndarray:
     """(4,) standard deviation, px, of the blur across each side (corner k to k + 1); NaN
     where it cannot be measured.
 
@@ -78,8 +79,8 @@ class SideBlurs(NamedTuple):
     frame: int
     transfer: str
     key: str
-    blurs: np.ndarray
-    corners: np.ndarray
+    blurs: ndarray
+    corners: ndarray
 
 
 class SideReader:
@@ -128,7 +129,7 @@ def footage_lens(
     world_from_marker: Mapping[str, Pose],
 ) -> LensFit:
     corners_m = {m.key: m.corners_m for m in markers}
-    before: dict[str, tuple[int, np.ndarray]] = {}
+    before: dict[str, tuple[int, ndarray]] = {}
     rows = []
     for number, _, key, blurs, corners in readings:
         last, before[key] = before.get(key), (number, corners)
@@ -172,7 +173,7 @@ def footage_lens(
 
 
 def lens_from_blur(
-    dioptre: np.ndarray, blur_px: np.ndarray, sigma_px: np.ndarray | float = 0.1
+    dioptre: ndarray, blur_px: ndarray, sigma_px: ndarray | float = 0.1
 ) -> LensFit:
     """Fit a lens.
     dioptre : (n,) 1 / distance of edges, 1/m;  blur_px : (n,) standard deviation of each

@@ -16,8 +16,9 @@ from functools import cache
 from typing import Any, get_type_hints
 
 import numpy as np
+from numpy import ndarray
 
-Columns = dict[str, np.ndarray]
+Columns = dict[str, ndarray]
 Tables = dict[str, Columns]
 _SHAPES = "/shapes"  # texts, of arrays of one column that differ: it is what they hold, flat
 _DIGEST_BYTES = 16
@@ -45,9 +46,7 @@ def by_columns(rows: Sequence[Any], kind: type) -> Columns:
     return out
 
 
-def rows_of(
-    columns: Mapping[str, np.ndarray], kind: type, shift: int = 0
-) -> list[Any]:
+def rows_of(columns: Mapping[str, ndarray], kind: type, shift: int = 0) -> list[Any]:
     """The rows again. shift : to be added to their frames' numbers"""
     values = []
     for name, hint in _fields(kind):
@@ -103,8 +102,8 @@ def _is_row(hint: Any) -> bool:
     return isinstance(hint, type) and (is_dataclass(hint) or hasattr(hint, "_fields"))
 
 
-def _arrays(flat: np.ndarray, shapes: np.ndarray) -> list[np.ndarray | None]:
-    out: list[np.ndarray | None] = []
+def _arrays(flat: ndarray, shapes: ndarray) -> list[ndarray | None]:
+    out: list[ndarray | None] = []
     for text in shapes.tolist():
         shape = None if text == _NONE else literal_eval(text)
         count = 0 if shape is None else math.prod(shape)

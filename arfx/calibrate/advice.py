@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.calibrate.solve import Fit, Uncertainty, grid_pixels, without_pose
 from arfx.core.numerics import arccos
@@ -67,7 +68,7 @@ def figures(
     fitted: Fit,
     seen: Coverage,
     known: Uncertainty,
-    projection_sd_px: np.ndarray,
+    projection_sd_px: ndarray,
     held_out_px: float,
     rejected: int,
 ) -> dict[str, float]:
@@ -113,12 +114,12 @@ class Coverage(NamedTuple):
     tilted_to : (4,) views tilted
     by more than TILTED_DEG with the near edge on each of SIDES"""
 
-    counts: np.ndarray
+    counts: ndarray
     cells: float
     radius: float
-    tilt_deg: np.ndarray
-    azimuth_deg: np.ndarray
-    tilted_to: np.ndarray
+    tilt_deg: ndarray
+    azimuth_deg: ndarray
+    tilted_to: ndarray
 
     @property
     def directions(self) -> int:
@@ -155,7 +156,7 @@ def coverage(fitted: Fit) -> Coverage:
     )
 
 
-def projection_jacobian(fitted: Fit) -> np.ndarray:
+def projection_jacobian(fitted: Fit) -> ndarray:
     """(2n, p) how each grid pixel's projection moves with the intrinsics, a turn of the
     camera taken out.
 
@@ -168,7 +169,7 @@ def projection_jacobian(fitted: Fit) -> np.ndarray:
     return without_pose(fitted.model.by_parameters(j), j[:, :3])
 
 
-def projection_uncertainty_px(fitted: Fit, known: Uncertainty) -> np.ndarray:
+def projection_uncertainty_px(fitted: Fit, known: Uncertainty) -> ndarray:
     """(n,) one standard deviation of the projection at each grid pixel, px (root mean
     square of x and y).
     """

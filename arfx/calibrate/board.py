@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.marker import FAMILIES, canonical_family
 from arfx.core.marker_codes import dictionary
@@ -52,7 +53,7 @@ class BoardSpec:
         return self.inner[0] + 1, self.inner[1] + 1
 
     @property
-    def corners_m(self) -> np.ndarray:
+    def corners_m(self) -> ndarray:
         """(n, 3) inner corners row by row, metres, in the board's plane z = 0; x along a
         row, y down the rows.
         """

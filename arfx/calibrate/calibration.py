@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.calibrate.advice import (
     Coverage,
@@ -41,7 +42,7 @@ class Picture(NamedTuple):
     """gray : (h, w) uint8 upright, or why it cannot be read;  turn : EXIF's orientation"""
 
     name: str
-    gray: np.ndarray | InputError
+    gray: ndarray | InputError
     turn: int = 1
 
 
@@ -66,7 +67,7 @@ class Calibration(NamedTuple):
     fitted: Fit
     known: Uncertainty
     seen: Coverage
-    projection_sd_px: np.ndarray
+    projection_sd_px: ndarray
     chosen: Evidence
     evidence: tuple[Evidence, ...]
     verdict: Verdict
@@ -92,7 +93,7 @@ def find_board(
     views, empty, notices = list[View](), list[str](), list[str]()
     unread = list[InputError]()
     kinds: dict[str, list[str]] = defaultdict(list)
-    samples: list[tuple[str, np.ndarray]] = []
+    samples: list[tuple[str, ndarray]] = []
     searched = 0
     for name, gray, turn in pictures:
         if isinstance(gray, InputError):

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from numpy import ndarray
 from scipy.spatial import cKDTree
 
 from arfx.calibrate.board import (
@@ -56,9 +57,9 @@ class View:
 
     name: str
     size: tuple[int, int]
-    ids: np.ndarray
-    board_m: np.ndarray
-    pixels: np.ndarray
+    ids: ndarray
+    board_m: ndarray
+    pixels: ndarray
     finder: str
     sharpness: float = 0.0
     upside_down: bool = False
@@ -70,7 +71,7 @@ class View:
         return replace(self, **rest)
 
 
-def find_view(gray: np.ndarray, spec: BoardSpec, name: str) -> View | None:
+def find_view(gray: ndarray, spec: BoardSpec, name: str) -> View | None:
     """The board in a picture (h, w) uint8, or None."""
     found = (_chessboard if spec.kind == CHESSBOARD else _charuco)(gray, spec)
     if found is None:
@@ -91,10 +92,10 @@ def find_view(gray: np.ndarray, spec: BoardSpec, name: str) -> View | None:
     )
 
 
-_Corners = tuple[np.ndarray, np.ndarray, str]  # of a View
+_Corners = tuple[ndarray, ndarray, str]  # of a View
 
 
-def _charuco(gray: np.ndarray, spec: BoardSpec) -> _Corners | None:
+def _charuco(gray: ndarray, spec: BoardSpec) -> _Corners | None:
     corners, ids, _, _ = cv2.aruco.CharucoDetector(charuco_board(spec)).detectBoard(
         gray
     )
@@ -108,7 +109,7 @@ def _charuco(gray: np.ndarray, spec: BoardSpec) -> _Corners | None:
     return ids, _refined(gray, corners, CLEAR_FRACTION * white), "charuco"
 
 
-def _refined(gray: np.ndarray, rough: np.ndarray, share: float) -> np.ndarray:
+def _refined(gray: ndarray, rough: ndarray, share: float) -> ndarray:
     """(n, 2) corners refined in windows of half the side `share` of the smallest distance
     between two of them.
     """
@@ -120,7 +121,7 @@ def _refined(gray: np.ndarray, rough: np.ndarray, share: float) -> np.ndarray:
     )
 
 
-def _chessboard(gray: np.ndarray, spec: BoardSpec) -> _Corners | None:
+def _chessboard(gray: ndarray, spec: BoardSpec) -> _Corners | None:
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     found, rough = cv2.findChessboardCorners(gray, spec.inner, flags=flags)
     finder = "gradient"
@@ -147,7 +148,7 @@ def _chessboard(gray: np.ndarray, spec: BoardSpec) -> _Corners | None:
     return np.arange(len(pixels)), pixels, finder
 
 
-def corner_sharpness(gray: np.ndarray, pixels: np.ndarray) -> float:
+def corner_sharpness(gray: ndarray, pixels: ndarray) -> float:
     """Steepest grey step per pixel around the corners over the contrast there: 1 / edge
     width in px, ~0.5 sharp, 0 blurred.
     """
@@ -185,7 +186,7 @@ SMALL_CHESSBOARD = (
 )  # the sector-based finder grows from this to the whole board
 
 
-def seen_instead(gray: np.ndarray, spec: BoardSpec) -> str:
+def seen_instead(gray: ndarray, spec: BoardSpec) -> str:
     """In words what a picture (h, w) uint8 shows in place of the board, as a spec where it
     is recognised; "" for nothing.
 
@@ -217,7 +218,7 @@ def seen_instead(gray: np.ndarray, spec: BoardSpec) -> str:
 
 
 def _working_spec(
-    gray: np.ndarray, spec: BoardSpec, family: str, highest: int
+    gray: ndarray, spec: BoardSpec, family: str, highest: int
 ) -> BoardSpec | None:
     """A change of pattern, orientation or dictionary with which the board is found."""
     # the smallest dictionary of the same bits that holds the ids seen and the board's own

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.calibrate.board import (
     CHARUCO,
@@ -47,9 +48,9 @@ class Sheet(NamedTuple):
     title: str
     width_mm: float
     height_mm: float
-    black: list[np.ndarray]
+    black: list[ndarray]
     texts: list[tuple[float, float, str]]
-    lines: np.ndarray
+    lines: ndarray
 
 
 Target = MarkerSpec | BoardSpec
@@ -120,13 +121,11 @@ class _Print(NamedTuple):
     it;  black : (n, 4, 2) from its upper left corner;  words : under it"""
 
     size_mm: tuple[float, float, float]
-    black: np.ndarray
+    black: ndarray
     words: str
 
 
-def outlines(
-    black: np.ndarray, cell_mm: float, place_mm: Any = (0.0, 0.0)
-) -> np.ndarray:
+def outlines(black: ndarray, cell_mm: float, place_mm: Any = (0.0, 0.0)) -> ndarray:
     """(n, 4, 2) mm, a rectangle for every black cell of a pattern (rows, columns): filled as
     one path they show no hairlines between them. place_mm : of its upper left corner
     """

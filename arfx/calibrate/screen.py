@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.calibrate.corners import View
 from arfx.calibrate.solve import FIRST_MODEL, Fit, LensModel, fit, pose_residual, rms
@@ -83,7 +84,7 @@ def reject_views(
     Raises NothingToDoError if they do not determine a camera.
     """
 
-    def errors_by(some: Sequence[View]) -> np.ndarray:
+    def errors_by(some: Sequence[View]) -> ndarray:
         """(V,) how far each view misses with the camera of some, px."""
         try:
             camera = fit(some, model).camera
@@ -120,7 +121,7 @@ def reject_views(
     return fit(inside, model), left_out
 
 
-def typical_px(residuals: np.ndarray) -> float:
+def typical_px(residuals: ndarray) -> float:
     """The rms length of residuals (n, 2) estimated from their median (of a round Gaussian,
     median of squares = ln 2 x mean): a few wrong corners do not make a wrong view."""
     return float(np.sqrt(np.median((residuals**2).sum(1)) / np.log(2)))
@@ -133,7 +134,7 @@ def drop_corners(fitted: Fit) -> list[View]:
     its neighbours' residuals along."""
     limit = CORNER_RATIO * max(FLOOR_PX, typical_px(np.concatenate(fitted.residuals)))
 
-    def trimmed(view: View, residual: np.ndarray) -> View:
+    def trimmed(view: View, residual: ndarray) -> View:
         rest = view
         while (misses := np.linalg.norm(residual, axis=1)).max() > limit:
             if len(rest.ids) <= (1 - MOST_CORNERS) * len(view.ids):
@@ -145,14 +146,14 @@ def drop_corners(fitted: Fit) -> list[View]:
     return [*map(trimmed, fitted.views, fitted.residuals)]
 
 
-def rejection_limit_px(view_rms_px: np.ndarray) -> float:
+def rejection_limit_px(view_rms_px: ndarray) -> float:
     """Largest rms of a view that agrees with views of these rms."""
     median = float(np.median(view_rms_px))
     spread = 1.4826 * float(np.median(np.abs(view_rms_px - median)))
     return max(FLOOR_PX, REJECT_RATIO * median, median + REJECT_SIGMA * spread)
 
 
-def picture_sharpness(gray: np.ndarray) -> float:
+def picture_sharpness(gray: ndarray) -> float:
     """Variance of the Laplacian of the picture at about 640 px width; only comparable
     between frames of one clip.
     """
@@ -162,8 +163,8 @@ def picture_sharpness(gray: np.ndarray) -> float:
 
 
 def sharpest_of_each(
-    frames: Iterable[tuple[str, np.ndarray]], group: int
-) -> Iterator[tuple[str, np.ndarray]]:
+    frames: Iterable[tuple[str, ndarray]], group: int
+) -> Iterator[tuple[str, ndarray]]:
     """Of every `group` frames (name, gray) in a row the sharpest, so that 1 in `group` is
     searched for the board.
     """

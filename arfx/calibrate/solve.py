@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.calibrate.corners import View
 from arfx.core.camera import Camera
@@ -53,7 +54,7 @@ class LensModel(NamedTuple):
     def parameters(self) -> tuple[str, ...]:
         return ("fx", "fy", "cx", "cy", *COEFFICIENTS[: self.free])
 
-    def by_parameters(self, jacobian: np.ndarray) -> np.ndarray:
+    def by_parameters(self, jacobian: ndarray) -> ndarray:
         """(2n, p) of OpenCV's derivatives of projected points those by `parameters`."""
         return jacobian[:, 6 : 10 + self.free]
 
@@ -84,9 +85,9 @@ class Fit(NamedTuple):
     model: LensModel
     camera: Camera
     views: tuple[View, ...]
-    rotations: np.ndarray
-    residuals: list[np.ndarray]
-    derivatives: list[np.ndarray]
+    rotations: ndarray
+    residuals: list[ndarray]
+    derivatives: list[ndarray]
 
     @property
     def rms_px(self) -> float:
@@ -101,11 +102,11 @@ class Fit(NamedTuple):
         return self.rms_px * float(np.sqrt(points / max(1, free)))
 
     @property
-    def view_rms_px(self) -> np.ndarray:
+    def view_rms_px(self) -> ndarray:
         return np.array([rms(r) for r in self.residuals])
 
     @property
-    def values(self) -> np.ndarray:
+    def values(self) -> ndarray:
         c = self.camera
         return np.array([c.fx, c.fy, c.cx, c.cy, *c.distortion[: self.model.free]])
 
@@ -117,15 +118,15 @@ class Uncertainty(NamedTuple):
     cannot be determined
     """
 
-    covariance: np.ndarray
+    covariance: ndarray
     condition: float
 
     @property
-    def standard_deviations(self) -> np.ndarray:
+    def standard_deviations(self) -> ndarray:
         return np.sqrt(np.diag(self.covariance))
 
 
-def rms(residuals: np.ndarray) -> float:
+def rms(residuals: ndarray) -> float:
     """Root mean square length of residuals (n, 2), px; 0 for none."""
     return float(np.sqrt(divide((residuals**2).sum(), len(residuals))))
 
@@ -171,7 +172,7 @@ def fit(views: Sequence[View], model: LensModel) -> Fit:
     return Fit(model, camera, tuple(views), turns, residuals, derivatives)
 
 
-def pose_residual(view: View, camera: Camera) -> np.ndarray:
+def pose_residual(view: View, camera: Camera) -> ndarray:
     """Residuals (n, 2) px of a view that the camera was not fitted to: only its pose is.
     Infinite where there is no pose.
     """
@@ -190,7 +191,7 @@ def pose_residual(view: View, camera: Camera) -> np.ndarray:
     return np.where(np.isfinite(out), out, np.inf)
 
 
-def without_pose(by_intrinsics: np.ndarray, by_pose: np.ndarray) -> np.ndarray:
+def without_pose(by_intrinsics: ndarray, by_pose: ndarray) -> ndarray:
     """What of the intrinsics' derivatives (2n, p) no motion of the board can imitate: the
     projection off `by_pose` (2n, 6).
     """
@@ -223,7 +224,7 @@ def uncertainty(fitted: Fit) -> Uncertainty:
     return Uncertainty(covariance, condition(normal))
 
 
-def _inverse(normal: np.ndarray) -> np.ndarray:
+def _inverse(normal: ndarray) -> ndarray:
     """Of a normal matrix of unit diagonal.
 
     What rounding hides counts as hardly known: a pseudo-inverse would call it certain.
@@ -241,7 +242,7 @@ class Evidence(NamedTuple):
 
     model: LensModel
     fitted: Fit | None
-    held_out_px: np.ndarray
+    held_out_px: ndarray
     rejected: str = ""
 
     @property
@@ -305,7 +306,7 @@ def one_to_one(camera: Camera) -> bool:
     return bool(np.isfinite(camera.normalised(grid_pixels(camera, 25, 25))).all())
 
 
-def grid_pixels(camera: Camera, across: int, down: int) -> np.ndarray:
+def grid_pixels(camera: Camera, across: int, down: int) -> ndarray:
     """(n, 2) pixels spread evenly over the picture, borders included."""
     x = np.linspace(0, camera.width - 1, across)
     y = np.linspace(0, camera.height - 1, down)

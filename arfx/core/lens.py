@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.codec import Document, Unbounded
 from arfx.core.numerics import divide
@@ -69,7 +70,7 @@ class Lens:
         return self.focal_mm / self.fnumber * self.focal_mm * ratio
 
 
-def circle_of_confusion_mm(distance_mm: np.ndarray | float, lens: Lens) -> np.ndarray:
+def circle_of_confusion_mm(distance_mm: ndarray | float, lens: Lens) -> ndarray:
     """Diameter of the blur circle of a thin lens, on the sensor.
     distance_mm : (...) > 0, inf allowed; a NaN or a distance <= 0 gives 0 (no surface).
     Finite for every input.

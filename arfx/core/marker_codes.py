@@ -3,7 +3,7 @@
 from functools import cache
 
 import cv2
-import numpy as np
+from numpy import ndarray
 
 
 @cache
@@ -29,7 +29,7 @@ def cells_per_side(family: str) -> int:
 
 
 @cache
-def marker_cells(family: str, number: int) -> np.ndarray:
+def marker_cells(family: str, number: int) -> ndarray:
     """(n, n) bool, True = paper, border included; row 0 at the top, column 0 at the left of
     MarkerSpec.corners_m.
 

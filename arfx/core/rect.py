@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 
 class Rect(NamedTuple):
@@ -84,7 +85,7 @@ class Rect(NamedTuple):
         return Rect(self.x0 // step_x * step_x, self.y0 // step_y * step_y, x1, y1)
 
     @staticmethod
-    def around(points_px: np.ndarray, pad_px: float = 0.0) -> Rect:
+    def around(points_px: ndarray, pad_px: float = 0.0) -> Rect:
         """Smallest rectangle of whole pixels that holds the points, grown by `pad_px`.
         points_px : (n, 2) float, pixel centres at integers. No finite point gives EMPTY."""
         p = np.asarray(points_px, float).reshape(-1, 2)

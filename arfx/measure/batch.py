@@ -12,6 +12,7 @@ from urllib.parse import quote
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core import interrupt
 from arfx.core.guard import Guard
@@ -120,7 +121,7 @@ def page(rows: Sequence[Row], count: int, home: Path) -> str:
     )
 
 
-def _thumbnail(report: str) -> np.ndarray | None:
+def _thumbnail(report: str) -> ndarray | None:
     """The middle output picture of a job's report, small, RGB; None where there is none."""
     try:
         found = _PICTURE.findall(Path(report).read_bytes())

@@ -15,6 +15,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.config.load import suggestion
 from arfx.core.facts import FrameFacts
@@ -194,6 +195,6 @@ def _interleave(
         progress(sum(c.done for c in cells), len(cells))
 
 
-def _record(cell: Cell, seconds: float, picture: np.ndarray) -> None:
+def _record(cell: Cell, seconds: float, picture: ndarray) -> None:
     cell.seconds.append(seconds)
     cell.yardstick_s.append(WALL.of(lambda: cv2.GaussianBlur(picture, (0, 0), 5)))

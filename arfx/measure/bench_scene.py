@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.pose.visibility import with_model
 from arfx.core.camera import Camera
@@ -54,8 +55,8 @@ class BenchScene:
 
     scene: Scene
     facts: FrameFacts
-    plate: np.ndarray
-    real_depth_m: np.ndarray | None = None
+    plate: ndarray
+    real_depth_m: ndarray | None = None
 
     def with_depth(self) -> BenchScene:
         """With a measured depth: the plane, and a thing that hides the ball's left half."""

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 from scipy.optimize import nnls
 
 from arfx.core.cost import UNCALIBRATED, Price, Prices, prices_file, shipped_prices
@@ -79,7 +80,7 @@ def fit(runs: Runs, terms: Iterable[str]) -> Price:
     )
 
 
-def _coefficients(rows: np.ndarray, measured: np.ndarray) -> np.ndarray:
+def _coefficients(rows: ndarray, measured: ndarray) -> ndarray:
     """Two rounds: outliers of a busy machine, mostly upwards, get less weight in the second."""
     relative, ones = rows / measured[:, None], np.ones(len(measured))
     off = np.abs(1 - relative @ nnls(relative, ones)[0])
@@ -88,7 +89,7 @@ def _coefficients(rows: np.ndarray, measured: np.ndarray) -> np.ndarray:
     return np.asarray(nnls(relative * weight[:, None], weight)[0])
 
 
-def _cross_validation_error(rows: np.ndarray, measured: np.ndarray) -> float:
+def _cross_validation_error(rows: ndarray, measured: ndarray) -> float:
     """Root mean square of log(measured / predicted) of each scene from a fit to the others;
     0 for fewer than three scenes.
     """

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.rect import Rect
 
@@ -40,21 +41,19 @@ class Difference:
     pixels: int = 0
 
 
-def level_difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def level_difference(a: ndarray, b: ndarray) -> ndarray:
     """(h, w) grey levels between two (h, w, 3) uint8 pictures: the largest of the channels."""
     return np.asarray(cv2.absdiff(a, b).max(-1), np.float32)
 
 
-def touched(*pairs: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+def touched(*pairs: tuple[ndarray, ndarray]) -> ndarray:
     """(h, w) bool: pixels in which any of the pairs differs."""
     return np.asarray(
         np.any([level_difference(a, b) > TOUCHED for a, b in pairs], axis=0)
     )
 
 
-def difference(
-    reference: np.ndarray, test: np.ndarray, where: np.ndarray
-) -> Difference:
+def difference(reference: ndarray, test: ndarray, where: ndarray) -> Difference:
     """Of two (h, w, 3) uint8 sRGB pictures.
 
     where : (h, w) bool, those that count; without any there is no difference
@@ -82,7 +81,7 @@ def difference(
     )
 
 
-def flip_map(reference: np.ndarray, test: np.ndarray) -> np.ndarray:
+def flip_map(reference: ndarray, test: ndarray) -> ndarray:
     """(h, w) float32, FLIP of every pixel of two (h, w, 3) uint8 sRGB pictures."""
     from flip_evaluator import nbflip
 
@@ -96,14 +95,14 @@ def flip_map(reference: np.ndarray, test: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(error[..., 0], np.float32)
 
 
-def delta_e(reference: np.ndarray, test: np.ndarray) -> np.ndarray:
+def delta_e(reference: ndarray, test: ndarray) -> ndarray:
     """(...) CIEDE2000 between sRGB colours (..., 3) uint8."""
     from skimage.color import deltaE_ciede2000, rgb2lab
 
     return np.asarray(deltaE_ciede2000(rgb2lab(reference), rgb2lab(test)))
 
 
-def ssim_map(reference: np.ndarray, test: np.ndarray) -> np.ndarray:
+def ssim_map(reference: ndarray, test: ndarray) -> ndarray:
     """(h, w) SSIM about every pixel of two (h, w, 3) uint8 pictures; beyond their border
     they go on as their last pixels.
     """
@@ -129,11 +128,11 @@ def ssim_map(reference: np.ndarray, test: np.ndarray) -> np.ndarray:
 
 
 def mean_flicker(
-    first: np.ndarray,
-    second: np.ndarray,
-    plate_first: np.ndarray,
-    plate_second: np.ndarray,
-    where: np.ndarray,
+    first: ndarray,
+    second: ndarray,
+    plate_first: ndarray,
+    plate_second: ndarray,
+    where: ndarray,
 ) -> float:
     """Mean grey levels by which the second picture, taken back along the footage's motion,
     differs from the first.

@@ -17,6 +17,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.lens import side_blurs
 from arfx.analyse.markers.corners import linear_table, refine_corners
@@ -54,7 +55,7 @@ class Found:
     sides_px: list[float] = field(default_factory=list)
     blurs_px: list[float] = field(default_factory=list)
     tilts_deg: list[float] = field(default_factory=list)
-    quads: dict[int, list[np.ndarray]] = field(default_factory=dict)
+    quads: dict[int, list[ndarray]] = field(default_factory=dict)
     counted: set[int] = field(default_factory=set)
     sure: bool = False
     same: Found | None = None
@@ -158,7 +159,7 @@ def _record(
     found: dict[str, Found],
     seen: list[Candidate],
     index: int,
-    luma: np.ndarray,
+    luma: ndarray,
     camera: Camera | None,
 ) -> None:
     cells = np.array([cells_per_side(c.family) for c in seen])
@@ -181,7 +182,7 @@ def _record(
             m.tilts_deg.append(tilt)
 
 
-def tilt_deg(quad_px: np.ndarray, camera: Camera) -> float | None:
+def tilt_deg(quad_px: ndarray, camera: Camera) -> float | None:
     """Angle in degrees between the marker's normal and the line of sight, of the better
     planar pose; None without one.
     """
@@ -230,7 +231,7 @@ def _same_place(m: Found, better: Found) -> bool:
     return 2 * sum(on) > len(on)
 
 
-def _inside(quad: np.ndarray, other: np.ndarray) -> bool:
+def _inside(quad: ndarray, other: ndarray) -> bool:
     middle = quad.mean(0).tolist()
     return cv2.pointPolygonTest(other.astype(np.float32), middle, False) >= 0
 

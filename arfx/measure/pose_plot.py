@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.pose.visibility import jitter_px
 from arfx.core.camera import Camera
@@ -19,7 +20,7 @@ _MOST_TICKS = 6
 
 
 def pose_plot(
-    facts: Sequence[FrameFacts], camera: Camera | None, points_m: np.ndarray | None
+    facts: Sequence[FrameFacts], camera: Camera | None, points_m: ndarray | None
 ) -> Mapping[str, Any]:
     """Trembling before and after smoothing, reprojection error, and each frame's status as
     a coloured strip. points_m : (n, 3) world points whose trembling is shown"""
@@ -54,7 +55,7 @@ def pose_plot(
 
 
 def _panel(
-    times: np.ndarray, curves: Sequence[tuple[str, str, np.ndarray]]
+    times: ndarray, curves: Sequence[tuple[str, str, ndarray]]
 ) -> Mapping[str, Any]:
     """Curves of label, colour and values (n,) from 0 to the top of an axis with ticks."""
     most = [float(np.nanmax(px)) for _, _, px in curves if np.isfinite(px).any()]
@@ -63,9 +64,7 @@ def _panel(
     return {"top": max([*most, 1e-3]) * 1.05, "ticks": ticks, "curves": shown}
 
 
-def _thinned(
-    times: np.ndarray, values: np.ndarray
-) -> list[list[tuple[float, float]]]:
+def _thinned(times: ndarray, values: ndarray) -> list[list[tuple[float, float]]]:
     """The curve's pieces between frames of which nothing is known, as points."""
     first = np.arange(0, len(values), -(-len(values) // _MOST_POINTS) or 1)
     most = np.fmax.reduceat(values, first) if len(values) else values

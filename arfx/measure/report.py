@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.config.load import load
 from arfx.core.camera import Camera
@@ -24,7 +25,7 @@ from arfx.run.folder import JobFolder, load_previews, write
 from arfx.run.pages import render
 from arfx.run.parameters import parameters
 
-Pictures = Sequence[tuple[int, np.ndarray, np.ndarray]]
+Pictures = Sequence[tuple[int, ndarray, ndarray]]
 
 
 def write_report(
@@ -33,7 +34,7 @@ def write_report(
     facts: Sequence[FrameFacts],
     before_after: Pictures,
     camera: Camera | None = None,
-    points_m: np.ndarray | None = None,
+    points_m: ndarray | None = None,
 ) -> Path:
     """Write report.json and report.html into `folder`, which is made; both appear whole or
     not at all.
@@ -139,7 +140,7 @@ def read_report(job: Path) -> dict[str, Any]:
 
 def _camera_and_cubes(
     files: JobFolder, report: Mapping[str, Any]
-) -> tuple[Camera, np.ndarray | None]:
+) -> tuple[Camera, ndarray | None]:
     """The job's camera, and world points to plot: the corners of a cube on each marker that
     has a pose.
     """

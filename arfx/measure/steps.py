@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.colour import SRGB
 from arfx.core.facts import FrameFacts
@@ -88,14 +89,14 @@ class FrameRenderer:
     """
 
     facts: FrameFacts
-    plate: np.ndarray
+    plate: ndarray
     plan: FramePlan
     stages: Mapping[str, Stage]
     window: Rect
     prepared: PreparedStages
-    real_depth_m: np.ndarray | None = None
+    real_depth_m: ndarray | None = None
     rendered: dict[Chain, FrameLayers] = field(default_factory=dict, init=False)
-    images: dict[Chain, np.ndarray] = field(default_factory=dict, init=False)
+    images: dict[Chain, ndarray] = field(default_factory=dict, init=False)
 
     def chain(
         self, levels: Mapping[str, str], stages: Mapping[str, Stage] | None = None
@@ -111,18 +112,18 @@ class FrameRenderer:
             self.prepared.at(*chain[-1]), self.facts, self.after(chain[:-1])
         )
 
-    def image(self, chain: Chain) -> np.ndarray:
+    def image(self, chain: Chain) -> ndarray:
         """(h, w, 3) uint8 sRGB of the window after these steps."""
         if chain not in self.images:
             layers = self.after(chain)
             self.images[chain] = _srgb8(layers.view(self.window)[Layer.IMAGE])
         return self.images[chain]
 
-    def original(self) -> np.ndarray:
+    def original(self) -> ndarray:
         """The same of the frame as it was."""
         return _srgb8(self.plate[self.window.slices])
 
-    def layer(self, chain: Chain, name: Layer) -> np.ndarray:
+    def layer(self, chain: Chain, name: Layer) -> ndarray:
         """(h, w, …) of the window after these steps."""
         return np.asarray(self.after(chain).view(self.window)[name])
 
@@ -207,5 +208,5 @@ def window_of(
     return Rect(x0, y0, x0 + width, y0 + height).clip(whole).clip(frame)
 
 
-def _srgb8(linear: np.ndarray) -> np.ndarray:
+def _srgb8(linear: ndarray) -> ndarray:
     return np.rint(255 * SRGB.encode(np.clip(linear, 0, 1))).astype(np.uint8)

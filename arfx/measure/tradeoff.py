@@ -18,6 +18,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.cost import sum_independent
 from arfx.core.layers import Layer
@@ -101,7 +102,7 @@ class _Work:
 
     def image(
         self, frame: FrameRenderer, levels: Levels, other: Mapping[str, Stage] = OWN
-    ) -> np.ndarray:
+    ) -> ndarray:
         return frame.image(frame.chain(levels, self.stages(levels, other)))
 
     def time(self, row: Row) -> None:
@@ -303,7 +304,7 @@ def _measure_flicker(work: _Work, rows: Sequence[Row]) -> None:
         r.flicker = (value, values[-1])
 
 
-def _location(d: Difference, coverage: np.ndarray) -> str:
+def _location(d: Difference, coverage: ndarray) -> str:
     """Where a difference is largest, in words."""
     x, y = d.worst_px
     edge = np.asarray((coverage > 0.02) & (coverage < 0.98)).astype(np.uint8)

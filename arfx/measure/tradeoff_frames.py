@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.facts import FrameFacts
 from arfx.core.rect import Rect
@@ -28,7 +29,7 @@ class Sample:
 
 def describe(
     facts: Sequence[FrameFacts], frame: Rect
-) -> tuple[list[FrameFacts], np.ndarray]:
+) -> tuple[list[FrameFacts], ndarray]:
     """The frames that show the object, and (n, 4) what is known of each: NAMES."""
     shown = [f for f in facts if f.visible and f.camera_from_world is not None]
     middles = {

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure
+from numpy import ndarray
 
 from arfx.core.cost import Prediction
 from arfx.errors import RenderError
@@ -67,13 +68,13 @@ def page(found: Measurements, document: Mapping[str, Any], quality: int = 90) ->
     )
 
 
-def error_map(reference: np.ndarray, picture: np.ndarray) -> np.ndarray:
+def error_map(reference: ndarray, picture: ndarray) -> ndarray:
     """(h, w, 3) uint8: grey is no difference, eight times the difference about it."""
     apart = picture.astype(np.int16) - reference.astype(np.int16)
     return np.asarray(np.clip(128 + TIMES * apart, 0, 255), np.uint8)
 
 
-def delta_e_map(reference: np.ndarray, picture: np.ndarray) -> np.ndarray:
+def delta_e_map(reference: ndarray, picture: ndarray) -> ndarray:
     """(h, w, 3) uint8: how visible the difference is, from black to white at MOST_DELTA_E."""
     share = delta_e(reference, picture) / MOST_DELTA_E
     return np.asarray(colormaps["inferno"](share, bytes=True)[..., :3])

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.cost import Prediction, measured
 from arfx.core.stage import Stage
@@ -33,7 +34,7 @@ class Row:
     predicted: bool = False
     by_frame: dict[int, Difference] = field(default_factory=dict)
     flicker: tuple[float, float] | None = None
-    pictures: dict[int, np.ndarray] = field(default_factory=dict)
+    pictures: dict[int, ndarray] = field(default_factory=dict)
     levels: Mapping[str, str] = field(default_factory=dict)
     other: Mapping[str, Stage] = field(default_factory=dict)
 

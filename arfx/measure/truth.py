@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.camera import Camera
 from arfx.core.colour import SRGB
@@ -83,19 +84,19 @@ def _apart(a: Pose, b: Pose) -> tuple[float, float]:
 
 
 def quantiles(
-    values: Sequence[float] | np.ndarray, **percent: float
+    values: Sequence[float] | ndarray, **percent: float
 ) -> dict[str, float]:
     """By name, at so many percent of the values."""
     return {name: float(np.percentile(values, q)) for name, q in percent.items()}
 
 
-def _jitter(error: np.ndarray, shots: np.ndarray) -> float | None:
+def _jitter(error: ndarray, shots: ndarray) -> float | None:
     second = error[2:] - 2 * error[1:-1] + error[:-2]
     second = second[(shots[2:] == shots[:-2]) & np.isfinite(second).all((1, 2))]
     return float(np.sqrt((second**2).sum(-1).mean())) if len(second) else None
 
 
-def _lag(error: np.ndarray, projected: np.ndarray, shots: np.ndarray) -> float | None:
+def _lag(error: ndarray, projected: ndarray, shots: ndarray) -> float | None:
     """est(t) = true(t - lag) gives error = -lag * velocity; least squares over all corners
     and frames.
     """

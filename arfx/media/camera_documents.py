@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import yaml
+from numpy import ndarray
 
 from arfx.core.opener import (
     LIMITS,
@@ -94,7 +95,7 @@ def read_document(path: Path) -> Document:
     return _parse(text)
 
 
-def numbers(value: Any, what: str) -> np.ndarray:
+def numbers(value: Any, what: str) -> ndarray:
     """(n,) float64 of nested lists, or of a {rows, cols, data} matrix; none of None. Keeps
     NaN for Camera to refuse. Raises CameraFileError."""
     if isinstance(value, Mapping):

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from numpy import ndarray
 
 from arfx.core.camera import BROWN, FISHEYE, Camera
 from arfx.core.guard import atomic_write
@@ -184,7 +185,7 @@ def save_camera(path: str | Path, camera: Camera, **extras: Any) -> None:
         part.write_text(f"%YAML 1.0\n---\n{text}", encoding="utf-8")
 
 
-def _stored_matrix(m: np.ndarray) -> dict[str, Any]:
+def _stored_matrix(m: ndarray) -> dict[str, Any]:
     return {
         "rows": m.shape[0],
         "cols": m.shape[1],

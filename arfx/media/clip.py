@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import av
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.codec import Document
 from arfx.core.colour import SRGB, Transfer
@@ -363,7 +364,7 @@ class Match(NamedTuple):
 
 
 def match_by_time(
-    taken_s: np.ndarray, times_s: list[float], near_s: float, gap_s: float = 0.0
+    taken_s: ndarray, times_s: list[float], near_s: float, gap_s: float = 0.0
 ) -> list[Match | None]:
     """What was recorded (depth maps, poses) around each frame, None where nothing is near.
     taken_s : rising

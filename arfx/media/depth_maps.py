@@ -19,6 +19,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.numerics import divide
 from arfx.core.opener import folder_entries, is_folder, read_bytes, regular
@@ -44,7 +45,7 @@ SIGMA = 6.0  # grey levels that count as an edge
 _FAINT = 1e-6  # a mask smoothed to less than this carries nothing: the nearest known value is used
 
 
-Read = Callable[[int], np.ndarray]
+Read = Callable[[int], ndarray]
 
 
 def _open_video(path: Path) -> tuple[Read, tuple[float, ...]]:
@@ -62,7 +63,7 @@ def _open_video(path: Path) -> tuple[Read, tuple[float, ...]]:
         threading.local()
     )  # last : of each thread the last map, and what is behind it
 
-    def read(number: int) -> np.ndarray:
+    def read(number: int) -> ndarray:
         last, stored, frames = vars(kept).get("last", (-2, None, None))
         if number == last:
             return stored
@@ -81,7 +82,7 @@ def _open_video(path: Path) -> tuple[Read, tuple[float, ...]]:
     return read, tuple(float((t - pts[0]) * info.time_base) for t in pts)
 
 
-def _page(path: Path, number: int) -> np.ndarray:
+def _page(path: Path, number: int) -> ndarray:
     """(h, w[, channels]) of a TIFF as stored. Raises InputError where it cannot be read."""
     done, pages = cv2.imreadmulti(str(path), number, 1, flags=cv2.IMREAD_UNCHANGED)
     if not done or len(pages) != 1:
@@ -135,7 +136,7 @@ class DepthMaps:
         )
         return match_in_order(what, self.count, len(times_s), before, whole, hint)
 
-    def load(self, number: int, width: int, height: int) -> np.ndarray:
+    def load(self, number: int, width: int, height: int) -> ndarray:
         """(h, w) float32 metres of a map at its own size; nothing measured = 0.
         width, height : of the clip. Raises InputError: unreadable, of another kind or shape.
         """
@@ -234,7 +235,7 @@ def open_depth(
     return DepthMaps(path, tuple(found), len(found), steps_per_m, start_s, since_s)
 
 
-def fill_holes(depth_m: np.ndarray, guide: np.ndarray) -> np.ndarray:
+def fill_holes(depth_m: ndarray, guide: ndarray) -> ndarray:
     """(H, W) float32 metres at the guide's size, > 0 everywhere: holes are filled along the
     picture's edges.
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import av
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.layers import packed
 from arfx.core.rect import Rect
@@ -55,13 +56,13 @@ class Frame:
             else Rect.of(f.width, f.height)
         )
 
-    def luma(self) -> np.ndarray:
+    def luma(self) -> ndarray:
         """(h, w) uint8, upright, read-only; limited range stays as stored; a view for 8-bit
         YUV and grey.
         """
         f = self.format
         if f.layout.kind == "rgb":
-            y: np.ndarray = self.picture.reformat(format="gray").to_ndarray()
+            y: ndarray = self.picture.reformat(format="gray").to_ndarray()
         else:
             y = planes_of(self.picture, f.layout)[0][:, : f.width]
             if f.layout.depth > 8:
@@ -70,7 +71,7 @@ class Frame:
         out.setflags(write=False)
         return out
 
-    def rgb8(self, **how: Any) -> np.ndarray:
+    def rgb8(self, **how: Any) -> ndarray:
         """(h, w, 3) uint8 R'G'B' of the whole upright picture, for looking at.
 
         how : as of `reformat`"""
@@ -84,7 +85,7 @@ class Frame:
         )
         return np.ascontiguousarray(f.orientation.upright(shown.to_ndarray()))
 
-    def reduced(self, width: int) -> np.ndarray:
+    def reduced(self, width: int) -> ndarray:
         """(h, w, 3) float32 linear RGB of the whole upright picture, at most `width` px
         wide; averaged in coded values.
         """
@@ -105,7 +106,7 @@ class Frame:
         turn = self.format.orientation
         return turn.coded_rect(rect, shown.width, shown.height)[:]
 
-    def linear(self, rect: Rect, out: np.ndarray | None = None) -> np.ndarray:
+    def linear(self, rect: Rect, out: ndarray | None = None) -> ndarray:
         """(h, w, 3) float32 linear RGB of an upright rectangle; not clipped, so slightly
         below 0 and above 1 occur. Any two rectangles agree where they meet. Raises
         RenderError if rect is empty or leaves the picture.
@@ -127,7 +128,7 @@ class Frame:
             coded[...] = into
         return out
 
-    def linear_at(self, pixels: np.ndarray) -> np.ndarray:
+    def linear_at(self, pixels: ndarray) -> ndarray:
         """(n, 3) float32: `linear` of single upright pixels (n, 2) int, x and y.
 
         Raises RenderError if one leaves the picture.
@@ -141,7 +142,7 @@ class Frame:
             ]
         )
 
-    def edited(self, rect: Rect, before: np.ndarray, after: np.ndarray) -> Frame:
+    def edited(self, rect: Rect, before: ndarray, after: ndarray) -> Frame:
         """A new frame whose stored samples differ by convert(after) - convert(before)
         inside `rect`.
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import av
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.opener import why
 from arfx.errors import InputError
@@ -371,6 +372,6 @@ def late_frames(shown: Sequence[int], stated: Sequence[int]) -> int:
     return len(stated) - bisect_right(stated, shown[-1] + _APART * _steps(shown)[1])
 
 
-def _steps(shown: Sequence[int]) -> tuple[np.ndarray, float]:
+def _steps(shown: Sequence[int]) -> tuple[ndarray, float]:
     steps = np.diff(np.array(shown, dtype=object)).astype(float)
     return steps, float(np.median(steps)) if len(steps) else 0.0

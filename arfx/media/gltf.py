@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.colour import SRGB
 from arfx.core.model import CLAMP, MIRROR, OPAQUE, REPEAT, Material, Texture
@@ -77,7 +78,7 @@ class Gltf:
             return base64.b64decode(uri.partition(",")[2])
         return self.file.read(uri)
 
-    def array(self, number: int, columns: int | None = None) -> np.ndarray:
+    def array(self, number: int, columns: int | None = None) -> ndarray:
         """(count, columns) of an accessor, sparse values put in; normalised numbers are floats.
 
         columns : how many there must be, None = any. Raises InputError."""
@@ -98,14 +99,14 @@ class Gltf:
             out[rows] = self._values(values, sparse["count"], found)
         return shares(out) if accessor.get("normalized") else out
 
-    def _values(self, place: Json, count: int, columns: int) -> np.ndarray:
+    def _values(self, place: Json, count: int, columns: int) -> ndarray:
         """place : an accessor, or a part of a sparse one"""
         view = self._views[place["bufferView"]]
         kind = np.dtype(_ACCESSORS[str(place["componentType"])])
         start = view.get("byteOffset", 0) + place.get("byteOffset", 0)
         stride = view.get("byteStride", kind.itemsize * columns)
         content = self._buffers[view["buffer"]]
-        return np.ndarray(
+        return ndarray(
             (count, columns), kind, content, start, (stride, kind.itemsize)
         )
 
@@ -266,9 +267,7 @@ def _stated(tree: Json, path: str, default: Any = None) -> Any:
     return tree.get(last, default)
 
 
-def _metallic(
-    diffuse: np.ndarray, shine: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _metallic(diffuse: ndarray, shine: ndarray) -> tuple[ndarray, ndarray]:
     """Base colour and alpha (..., 4); roughness and metallic (..., 2).
 
     diffuse : (..., 4) colour and alpha;  shine : (..., 4) specular colour and glossiness

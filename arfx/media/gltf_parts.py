@@ -8,6 +8,7 @@ from functools import cache, partial
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.model import Material
 from arfx.core.numerics import normalise
@@ -29,7 +30,7 @@ def gltf_meshes(file: ModelFile) -> Iterator[Placed]:
     material_of = cache(partial(gltf_material, gltf))
 
     @cache
-    def triangles_of(number: int) -> list[tuple[np.ndarray, Rows, Material]]:
+    def triangles_of(number: int) -> list[tuple[ndarray, Rows, Material]]:
         out = []
         for primitive in gltf.header["meshes"][number]["primitives"]:
             given, mode = primitive["attributes"], primitive.get("mode", _TRIANGLES)
@@ -60,7 +61,7 @@ def gltf_meshes(file: ModelFile) -> Iterator[Placed]:
             yield faces, rows, model_from_mesh, material
 
 
-def _placed(gltf: Gltf) -> Iterator[tuple[int, np.ndarray]]:
+def _placed(gltf: Gltf) -> Iterator[tuple[int, ndarray]]:
     """Numbers of the meshes that are shown, each with its place in the model, (4, 4)."""
     nodes = gltf.header.get("nodes", [])
     if scenes := gltf.header.get("scenes", []):
@@ -94,7 +95,7 @@ def _placed(gltf: Gltf) -> Iterator[tuple[int, np.ndarray]]:
         waiting += [(child, model_from_node) for child in node.get("children", [])]
 
 
-def _copies(gltf: Gltf, instances: dict[str, Any]) -> Iterator[np.ndarray]:
+def _copies(gltf: Gltf, instances: dict[str, Any]) -> Iterator[ndarray]:
     """Where a node shows its mesh, (4, 4) in the node's axes."""
     given = instances.get("attributes", {})
     columns = {p: gltf.array(given[p.upper()]) for p in _PLACES if p.upper() in given}
@@ -106,7 +107,7 @@ def _copies(gltf: Gltf, instances: dict[str, Any]) -> Iterator[np.ndarray]:
         yield _parent_from_node(dict(zip(columns, row, strict=True)))
 
 
-def _parent_from_node(node: dict[str, Any]) -> np.ndarray:
+def _parent_from_node(node: dict[str, Any]) -> ndarray:
     """(4, 4)."""
     if "matrix" in node:
         return np.array(node["matrix"], float).reshape(4, 4).T
@@ -118,7 +119,7 @@ def _parent_from_node(node: dict[str, Any]) -> np.ndarray:
     return out
 
 
-def _triangles(corners: np.ndarray, mode: int) -> np.ndarray:
+def _triangles(corners: ndarray, mode: int) -> ndarray:
     """(m, 3) corners, from those of a list of triangles, a strip or a fan (section 3.7.2.1)."""
     if mode == _TRIANGLES:
         return corners[: len(corners) // 3 * 3].reshape(-1, 3)

@@ -20,6 +20,7 @@ from typing import Any, cast
 import av
 import cv2
 import numpy as np
+from numpy import ndarray
 from PIL import Image, UnidentifiedImageError
 
 from arfx.core.colour import SRGB
@@ -44,7 +45,7 @@ _DEPTH_CHANNELS = (b"Z", b"V", b"Y", b"R")
 _HDR = re.compile(rb"\n\s*\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n")
 
 
-def write_png(path: Path, rgb: np.ndarray) -> None:
+def write_png(path: Path, rgb: ndarray) -> None:
     """rgb : (h, w, 3) or (h, w) uint8 or uint16, R'G'B'.
 
     Raises RenderError when it cannot be written.
@@ -53,7 +54,7 @@ def write_png(path: Path, rgb: np.ndarray) -> None:
     _write(path, data.tobytes())
 
 
-def write_exr(path: Path, linear: np.ndarray) -> None:
+def write_exr(path: Path, linear: ndarray) -> None:
     """linear : (h, w, 3) or (h, w) float32, stored bit for bit.
 
     Raises RenderError when it cannot be written.
@@ -68,7 +69,7 @@ def write_exr(path: Path, linear: np.ndarray) -> None:
     _write(path, b"".join(bytes(p) for p in packets))
 
 
-def load_image(path: Path) -> np.ndarray:
+def load_image(path: Path) -> ndarray:
     """Linear float32 RGB (h, w, 3) of an image: EXR and Radiance HDR as stored, others as sRGB.
     Raises InputError: missing, or not an image."""
     raw = decode_picture(Path(path), "image", cv2.IMREAD_UNCHANGED)
@@ -78,13 +79,13 @@ def load_image(path: Path) -> np.ndarray:
     return _linear(rgb)
 
 
-def _linear(coded: np.ndarray) -> np.ndarray:
+def _linear(coded: ndarray) -> ndarray:
     """float32 of whole numbers in sRGB."""
     values = np.linspace(0, 1, 1 << 8 * coded.dtype.itemsize)
     return np.take(SRGB.decode(values).astype(np.float32), coded)
 
 
-def load_print(path: Path) -> tuple[np.ndarray, float]:
+def load_print(path: Path) -> tuple[ndarray, float]:
     """Linear float32 RGB (h, w, 3) of a print's picture, upright and at most PRINT_PX long;
     and its height over its width. Raises InputError: missing, or not an image."""
     rgb = decode_picture(Path(path), "pattern", cv2.IMREAD_COLOR)[..., ::-1]
@@ -150,7 +151,7 @@ def _write(path: Path, data: bytes) -> None:
         raise write_failed(path, e) from e
 
 
-def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
+def decode_picture(path: Path, kind: str, flags: int) -> ndarray:
     """As cv2.imdecode; of a depth map in an EXR the channel that holds it.
 
     Raises InputError: not a file of that kind, too large, damaged."""
@@ -168,9 +169,7 @@ def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
             (picture,) = av.CodecContext.create("exr", "r").decode(av.Packet(data))
             raw = picture.to_ndarray()
             return raw if raw.ndim == 2 else raw[..., 2::-1]
-        decoded: np.ndarray | None = cv2.imdecode(
-            np.frombuffer(data, np.uint8), flags
-        )
+        decoded: ndarray | None = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
         if decoded is None:
             raise ValueError
         return decoded

@@ -14,6 +14,7 @@ from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
+from numpy import ndarray
 from PIL import Image
 
 from arfx.core.opener import read_bytes
@@ -46,7 +47,7 @@ class ModelFile:
         self.files = [path]
         self.notices: list[str] = []
         self._folder = path.absolute().parent.resolve()
-        self._pictures: dict[Any, np.ndarray | None] = {}
+        self._pictures: dict[Any, ndarray | None] = {}
         self._texels = 0
 
     def check_counts(self, faces: int, parts: int = 0) -> None:
@@ -61,7 +62,7 @@ class ModelFile:
 
     def picture(
         self, name: Any, content: Callable[[], bytes] | None = None
-    ) -> np.ndarray | None:
+    ) -> ndarray | None:
         """(h, w, 4) uint8, decoded once; None: it is not there or no picture, which is in
         `notices`.
 
@@ -74,7 +75,7 @@ class ModelFile:
             self._pictures[name] = self.texels(image)
         return self._pictures[name]
 
-    def texels(self, image: Any) -> np.ndarray | None:
+    def texels(self, image: Any) -> ndarray | None:
         """(h, w, 4) uint8 of a picture of Pillow, which is closed; None for None.
 
         Raises InputError: too large, damaged."""

@@ -22,6 +22,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy import ndarray
 from PIL import Image
 
 from arfx.core.colour import SRGB
@@ -44,12 +45,12 @@ _UNIT = (
 CREASE_DEG = 40.0
 
 
-Rows = dict[str, np.ndarray]
-Placed = tuple[np.ndarray, Rows, np.ndarray, Material]  # what `part_of` takes
+Rows = dict[str, ndarray]
+Placed = tuple[ndarray, Rows, ndarray, Material]  # what `part_of` takes
 
 
 def part_of(
-    faces: np.ndarray, given: Rows, model_from_mesh: np.ndarray, material: Material
+    faces: ndarray, given: Rows, model_from_mesh: ndarray, material: Material
 ) -> Part | None:
     """A part of the model, without faces that have no area; None where none is left.
 
@@ -125,7 +126,7 @@ def _usable(rows: Rows) -> Rows:
 
 
 def _indexed(
-    faces: np.ndarray,
+    faces: ndarray,
     rows: Rows,
     own: Rows,
     material: Material,
@@ -147,14 +148,14 @@ def plain_material(has_colours: bool, double_sided: bool) -> Material:
     return Material(base_colour=(grey, grey, grey, 1.0), double_sided=double_sided)
 
 
-def shares(values: np.ndarray) -> np.ndarray:
+def shares(values: ndarray) -> ndarray:
     """Whole numbers as shares of the largest one, at least -1; floats as they are."""
     if values.dtype.kind == "f":
         return values
     return np.maximum(values / np.iinfo(values.dtype).max, -1.0)
 
 
-def unit_colours(values: np.ndarray) -> np.ndarray:
+def unit_colours(values: ndarray) -> ndarray:
     """(n, 4) between 0 and 1 of red, green, blue and maybe alpha (n, 3 or 4), whole numbers as
     `shares`; what is no number leaves a colour alone."""
     out = np.ones((len(values), 4))
@@ -164,14 +165,14 @@ def unit_colours(values: np.ndarray) -> np.ndarray:
     return np.clip(out, 0.0, 1.0)
 
 
-def linear_colours(display: np.ndarray) -> np.ndarray:
+def linear_colours(display: ndarray) -> ndarray:
     """(n, 4) of display colours (sRGB) as `unit_colours` takes them."""
     out = unit_colours(display)
     out[:, :3] = SRGB.decode(out[:, :3])
     return out
 
 
-def resized(picture: np.ndarray, wide: int, high: int) -> np.ndarray:
+def resized(picture: ndarray, wide: int, high: int) -> ndarray:
     """A picture (h, w, 4) uint8 of another size."""
     return np.asarray(Image.fromarray(picture).resize((wide, high)))
 
@@ -200,7 +201,7 @@ def checked(material: Material) -> Material:
     )
 
 
-def corner_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def corner_normals(vertices: ndarray, faces: ndarray) -> ndarray:
     """(3 m, 3) unit, of the corners of faces.
 
     vertices : (n, 3), those at the same place count as one;  faces : (m, 3) int, none without area
@@ -217,11 +218,11 @@ def corner_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def corner_tangents(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    normals: np.ndarray,
-    uv: np.ndarray,
-) -> np.ndarray:
+    vertices: ndarray,
+    faces: ndarray,
+    normals: ndarray,
+    uv: ndarray,
+) -> ndarray:
     """(3 m, 4) of the corners of faces (m, 3), as of core.model.Part.
 
     vertices : (n, 3);  normals : (n, 3) unit;  uv : (n, 2) on the normal texture, v = 0 on top
@@ -245,7 +246,7 @@ def corner_tangents(
     return np.column_stack([tangents, np.repeat(np.where(side == 0, 1.0, side), 3)])
 
 
-def _shared_edges(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _shared_edges(place: ndarray) -> tuple[ndarray, ndarray]:
     """Corners (e,) and (e,) from which two faces run along one edge, each towards its next corner.
 
     place : (m, 3) int, number of each corner's place"""
@@ -256,13 +257,13 @@ def _shared_edges(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _smoothed(
-    place: np.ndarray,
-    a: np.ndarray,
-    b: np.ndarray,
-    p: np.ndarray,
-    normals: np.ndarray,
-    directions: np.ndarray,
-) -> np.ndarray:
+    place: ndarray,
+    a: ndarray,
+    b: ndarray,
+    p: ndarray,
+    normals: ndarray,
+    directions: ndarray,
+) -> ndarray:
     """(3 m, 3) mean directions of corners that belong together, weighted by corner angle.
 
     place : as of `_shared_edges`;  a, b : those edges across which corners belong together
@@ -281,6 +282,6 @@ def _smoothed(
     return normalise(np.stack(sums, 1))[group]
 
 
-def _in_plane(v: np.ndarray, normal: np.ndarray) -> np.ndarray:
+def _in_plane(v: ndarray, normal: ndarray) -> ndarray:
     """Unit vectors (..., 3) of what of v is across the normal."""
     return normalise(v - normal * (v * normal).sum(-1, keepdims=True))

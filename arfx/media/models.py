@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.model import Material, Model, Texture
 from arfx.core.numerics import same_rows
@@ -198,7 +199,7 @@ def _stated_faces(data: bytes, kind: str) -> int:
     return int(found[1][:18]) if found else 0
 
 
-def _mesh(mesh: Any) -> tuple[np.ndarray, Rows]:
+def _mesh(mesh: Any) -> tuple[ndarray, Rows]:
     rows, faces = (
         {"vertices": np.asarray(mesh.vertices, float)},
         np.asarray(mesh.faces),

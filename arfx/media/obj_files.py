@@ -22,6 +22,7 @@ from dataclasses import replace
 from itertools import count, pairwise
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, CLAMP, OPAQUE, REPEAT, Material, Texture
@@ -168,7 +169,7 @@ def _key(name: str) -> str:
     return " ".join(unicodedata.normalize("NFC", name).strip().strip("\"'").split())
 
 
-def _table(rows: list[str], columns: int) -> np.ndarray:
+def _table(rows: list[str], columns: int) -> ndarray:
     """(n + 1, columns) of numbers, NaN where there is none, and in the last row: to numbers
     less one, it is what 0 stands for, and what negative ones are counted from."""
     out = np.full((len(rows) + 1, columns), np.nan)

@@ -18,6 +18,7 @@ import av
 import numpy as np
 from av.codec.codec import find_best_pix_fmt_of_list
 from av.video.format import names as video_formats  # type: ignore[attr-defined]
+from numpy import ndarray
 
 from arfx.core.colour import SRGB, Transfer
 from arfx.core.rect import Rect
@@ -100,7 +101,7 @@ def working_layout(name: str) -> tuple[PixelLayout, str]:
     return known[best.name], f"pixel format {name} is repacked to {best.name}{lost}"
 
 
-def planes_of(picture: av.VideoFrame, layout: PixelLayout) -> list[np.ndarray]:
+def planes_of(picture: av.VideoFrame, layout: PixelLayout) -> list[ndarray]:
     """Every plane as a whole-line array (rows, line length in samples), padding at the
     right included; views.
     """
@@ -158,12 +159,12 @@ class Orientation:
         """
         return 90 * self.transpose + 180 * (self.transpose != self.flip_y)
 
-    def upright(self, coded: np.ndarray) -> np.ndarray:
+    def upright(self, coded: ndarray) -> ndarray:
         """View of coded (h, w, ...) as it is shown."""
         v = coded.swapaxes(0, 1) if self.transpose else coded
         return v[:: -1 if self.flip_y else 1, :: -1 if self.flip_x else 1]
 
-    def coded(self, upright: np.ndarray) -> np.ndarray:
+    def coded(self, upright: ndarray) -> ndarray:
         """The inverse of `upright`, also a view."""
         if not self.transpose:
             return self.upright(upright)

@@ -17,6 +17,7 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.colour import Transfer, yuv_from_rgb
 from arfx.core.compiled import FAST, line_kernel
@@ -57,21 +58,21 @@ class Samples(NamedTuple):
     rgb_from_planes: Rows
     planes_from_rgb: Rows
     middle: tuple[np.float32, np.float32]
-    taps_x: np.ndarray
-    taps_y: np.ndarray
-    decoding: np.ndarray
-    encoding: np.ndarray
+    taps_x: ndarray
+    taps_y: ndarray
+    decoding: ndarray
+    encoding: ndarray
     scale: np.float32
     shift: np.int32
 
 
-def decoding_table(transfer: Transfer, bits: int) -> np.ndarray:
+def decoding_table(transfer: Transfer, bits: int) -> ndarray:
     """(n,) float32 linear light of coded values from CODED_LEAST to CODED_MOST, 2^bits to one."""
     coded = np.arange(CODED_LEAST * 2**bits, CODED_MOST * 2**bits + 1) / 2**bits
     return transfer.decode(coded).astype(np.float32)
 
 
-def encoding_table(transfer: Transfer, bits: int) -> np.ndarray:
+def encoding_table(transfer: Transfer, bits: int) -> ndarray:
     """(n,) float32 coded values of linear ones, 2^bits an octave from DARKEST on: each from
     a float's exponent and first bits to the next."""
     k = np.arange((127 + DARKEST) << bits, (127 + BRIGHTEST) << bits)
@@ -277,7 +278,7 @@ def _add_reduced(line, step, taps, weight, out):
             out[i] += share * line[(i << step) + k]
 
 
-def _taps(step: int, cosited: bool) -> np.ndarray:
+def _taps(step: int, cosited: bool) -> ndarray:
     n = 1 << step
     away = np.arange(1 - n, n)
     share = (n - abs(away)) / n**2 if cosited else (away >= 0) / n
@@ -324,12 +325,12 @@ def samples_of(f: FrameFormat) -> Samples:
     )
 
 
-def three(planes: list[np.ndarray]) -> Any:
+def three(planes: list[ndarray]) -> Any:
     """The planes for the loops: grey three times."""
     return tuple((planes * 3)[:3])
 
 
-def scratch_for(s: Samples, rect: tuple[int, ...]) -> tuple[np.ndarray, ...]:
+def scratch_for(s: Samples, rect: tuple[int, ...]) -> tuple[ndarray, ...]:
     """Memory for the loops over a coded rectangle: lines of planes, places in a table and
     values of one line; zeros (2, h, w) for the chroma samples of the rectangle, grown to
     their grid."""

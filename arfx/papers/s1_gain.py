@@ -19,6 +19,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.light.photometry import (
     UNUSABLE,
@@ -50,7 +51,7 @@ class SmallestVector(NamedTuple):
     gain: float
     bias: float
     bias_printed: float
-    y: np.ndarray
+    y: ndarray
     nullity: int
     rank: int
     smallest: float
@@ -59,7 +60,7 @@ class SmallestVector(NamedTuple):
 
 
 def eq6_smallest_vector(
-    intensity: np.ndarray, albedo: np.ndarray, dense: int = DENSE
+    intensity: ndarray, albedo: ndarray, dense: int = DENSE
 ) -> SmallestVector:
     """One channel. intensity : (t, p), NaN = not measured;  albedo : (p,) or (t, p). Frames
     without any patch get y = 0.
@@ -107,7 +108,7 @@ def eq6_smallest_vector(
     )
 
 
-def brightness(intensity: np.ndarray) -> np.ndarray:
+def brightness(intensity: ndarray) -> ndarray:
     """(p,) rho of (2) as printed: each patch's mean brightness in one picture by the same
     camera, the first that shows all of the print; of the patches that it lacks NaN.
     intensity : (t, p, 3), NaN = not measured"""
@@ -118,9 +119,9 @@ def brightness(intensity: np.ndarray) -> np.ndarray:
 
 
 def gain_and_bias(
-    intensity: np.ndarray,
-    albedo: np.ndarray,
-    clipped: np.ndarray | None = None,
+    intensity: ndarray,
+    albedo: ndarray,
+    clipped: ndarray | None = None,
     printed_bias: bool = False,
 ) -> Photometry:
     """(4) to (6) for all channels, arguments as in photometry.solve. No variances: the
@@ -157,9 +158,7 @@ def gain_and_bias(
     return assemble(parts, clipped, ignored)
 
 
-def _sparse(
-    grey: np.ndarray, r: np.ndarray, m: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _sparse(grey: ndarray, r: ndarray, m: ndarray) -> tuple[ndarray, ndarray]:
     """(smallest singular vector (t + 2,), singular values: an upper bound of the largest, and
     the two smallest, largest first), by the two smallest eigenvalues of the normal matrix,
     whose x part is diagonal."""

@@ -23,6 +23,7 @@ from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.job import Analysis
 from arfx.analyse.light.frames import Reading, with_light
@@ -103,12 +104,12 @@ class Observation(NamedTuple):
     normals : (k, 3) unit;  irradiance, variance : (k, 3); what is not finite is left out.
     """
 
-    normals: np.ndarray
-    irradiance: np.ndarray
-    variance: np.ndarray
+    normals: ndarray
+    irradiance: ndarray
+    variance: ndarray
 
     @property
-    def usable(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    def usable(self) -> Iterator[tuple[ndarray, ndarray]]:
         """(unit normal, irradiance) of the readings that are finite and known."""
         n = normalise(self.normals)
         x = self.irradiance
@@ -117,7 +118,7 @@ class Observation(NamedTuple):
         return zip(n[fine], x[fine], strict=True)
 
 
-def eq8_weight(cosine: np.ndarray, s: float) -> np.ndarray:
+def eq8_weight(cosine: ndarray, s: float) -> ndarray:
     """f(n) for n.n' = cosine: without the square of the angle, and with the condition
     cos(n.n') > 0, which always holds.
     """
@@ -126,18 +127,18 @@ def eq8_weight(cosine: np.ndarray, s: float) -> np.ndarray:
     )
 
 
-def squared_weight(cosine: np.ndarray, s: float) -> np.ndarray:
+def squared_weight(cosine: ndarray, s: float) -> ndarray:
     """f(n) as meant: with the square of the angle, and nothing where n turns away from n'."""
     return np.where(cosine > 0, np.exp(-(arccos(cosine) ** 2) / (2 * s * s)), 0.0)
 
 
-def eq7_update(M: np.ndarray, f: np.ndarray, x: np.ndarray) -> np.ndarray:
+def eq7_update(M: ndarray, f: ndarray, x: ndarray) -> ndarray:
     """M_(t+1)(n) = (1 - f(n)) M_t(n) + f(n) x_(t+1). M (v, 3);  f (v,);  x (3,)"""
     return M + f[:, None] * (x - M)
 
 
 @lru_cache(maxsize=4)
-def triangles(level: int) -> np.ndarray:
+def triangles(level: int) -> ndarray:
     """(t, 3, 3) unit corners of an icosahedron's faces, cut into four `level` times."""
     from trimesh.creation import icosphere
 
@@ -145,7 +146,7 @@ def triangles(level: int) -> np.ndarray:
 
 
 @lru_cache(maxsize=4)
-def hemisphere(level: int) -> np.ndarray:
+def hemisphere(level: int) -> ndarray:
     """(k, 3) figure 1: the middles of a hemisphere's triangles (z >= 0), each a direction
     in which a light may stand. One of them is z. Read-only."""
     middles = normalise(triangles(level).mean(1))
@@ -155,7 +156,7 @@ def hemisphere(level: int) -> np.ndarray:
     return n
 
 
-def upright(up: np.ndarray) -> np.ndarray:
+def upright(up: ndarray) -> ndarray:
     """(3, 3) rotation that turns `up` into z."""
     across = np.array([1.0, 0, 0]) if abs(up[0]) < 0.9 else np.array([0.0, 1, 0])
     x = normalise(across - (across @ up) * up)
@@ -175,7 +176,7 @@ class LightMap:
         )
         self.M = np.zeros(self.n.shape)
 
-    def add(self, n: np.ndarray, x: np.ndarray) -> None:
+    def add(self, n: ndarray, x: ndarray) -> None:
         """The light x (3,) that a patch with normal n (3,) receives."""
         f = eq8_weight(
             self.n[:, 0] * n[0] + self.n[:, 1] * n[1] + self.n[:, 2] * n[2], self.s
@@ -183,18 +184,16 @@ class LightMap:
         self.M = eq7_update(self.M, f, x)
 
     @property
-    def of_middles(self) -> np.ndarray:
+    def of_middles(self) -> ndarray:
         return self.M[: len(self.middles)]
 
     @property
-    def cube(self) -> np.ndarray:
+    def cube(self) -> ndarray:
         """(6, n, n, 3)"""
         return self.M[len(self.middles) :].reshape(6, self.size, self.size, 3)
 
 
-def eq9_lights(
-    M: np.ndarray, n: np.ndarray, I_c: float, epsilon_deg: float
-) -> np.ndarray:
+def eq9_lights(M: ndarray, n: ndarray, I_c: float, epsilon_deg: float) -> ndarray:
     """(m,) numbers of the directions in which lights stand, brightest first.
 
     M : (k, 3) or (k,) values at the directions n (k, 3);  I_c : of the channels' mean
@@ -218,7 +217,7 @@ def eq9_lights(
 
 def lights_of(
     seen: Sequence[Observation], params: PrintedLightParams
-) -> tuple[list[Light], list[np.ndarray], np.ndarray]:
+) -> tuple[list[Light], list[ndarray], ndarray]:
     """(one light per observation, and M as a cube (6, n, n, 3), (3, 3) rotation to the
     cube's axes from the normals').
 
@@ -293,7 +292,7 @@ class PrintedLight:
         readings: Sequence[Reading],
         samples: Sequence[EnvironmentSample],
         params: PrintedLightParams,
-        panorama: np.ndarray | None,
+        panorama: ndarray | None,
     ) -> Analysis:
         """The clip with `light`, `bias_rgb` and `light_map`, as printed. Arguments as of
         frames.with_light"""
@@ -305,10 +304,10 @@ class PrintedLight:
             return part
 
         def solve(
-            grey: np.ndarray,
-            _: np.ndarray,
-            clipped: np.ndarray,
-            rho: np.ndarray,
+            grey: ndarray,
+            _: ndarray,
+            clipped: ndarray,
+            rho: ndarray,
             *more: Any,
         ) -> Photometry:
             # one kind of print, without colour

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.cube import CubeMap, look_up
 from arfx.core.layers import Layers
@@ -38,7 +39,7 @@ class PrintedLightmapParams(LightmapParams):
     formula: str = "paper"
 
 
-def printed_map(light_map_: CubeMap | None) -> tuple[np.ndarray, np.ndarray] | None:
+def printed_map(light_map_: CubeMap | None) -> tuple[ndarray, ndarray] | None:
     """(cube (6, n, n, 3), map_from_world (3, 3)) of M; None where no map was written."""
     if light_map_ is None:
         return None
@@ -57,9 +58,7 @@ def printed_map(light_map_: CubeMap | None) -> tuple[np.ndarray, np.ndarray] | N
     return cube, axes
 
 
-def phong(
-    n: np.ndarray, v: np.ndarray, d: np.ndarray, roughness: np.ndarray
-) -> np.ndarray:
+def phong(n: ndarray, v: ndarray, d: ndarray, roughness: ndarray) -> ndarray:
     """(p,) highlight of a light in direction d, seen from v: the cosine to its mirrored
     direction, to a power.
     """
@@ -79,13 +78,13 @@ class PrintedLightmap(Lightmap):
     def shaded(
         self,
         surface: Surface,
-        soft_visibility: np.ndarray,
-        visibility: np.ndarray,
+        soft_visibility: ndarray,
+        visibility: ndarray,
         reaching: Sequence[int],
         light: FrameLight,
         view: View,
         now: Layers,
-    ) -> np.ndarray:
+    ) -> ndarray:
         """(3): I(v) = g rho_v M(n_v) + b, with g = 1, times the share of the light that is
         not hidden.
         """

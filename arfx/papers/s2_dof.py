@@ -29,6 +29,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy import ndarray
 from pydantic import field_validator
 
 from arfx.core.colour import SRGB, yuv_from_rgb
@@ -91,7 +92,7 @@ class PrintedDofParams(DofParams):
 # 3.2 Depth and blur factor of every pixel
 
 
-def eq7_circle(dioptre: np.ndarray | float, at: CircleOfConfusion) -> np.ndarray:
+def eq7_circle(dioptre: ndarray | float, at: CircleOfConfusion) -> ndarray:
     """Diameter of the blur circle, mm, of what is at 1 / dioptre metres: C = F^2 |L - U| / ((U -
     F) N L)."""
     return (
@@ -100,8 +101,8 @@ def eq7_circle(dioptre: np.ndarray | float, at: CircleOfConfusion) -> np.ndarray
 
 
 def blur_factor(
-    dioptre: np.ndarray, clip: tuple[float, float], at: CircleOfConfusion
-) -> np.ndarray:
+    dioptre: ndarray, clip: tuple[float, float], at: CircleOfConfusion
+) -> ndarray:
     """a = C / max(C_near, C_far), 0..1. clip : dioptres of both clip planes"""
     largest = max(float(eq7_circle(d, at)) for d in clip)
     return np.minimum(eq7_circle(dioptre, at) * float(divide(1.0, largest)), 1.0)
@@ -118,9 +119,7 @@ def sharp_range(at: CircleOfConfusion, F: float, C: float) -> tuple[float, float
     return at.focus - reach, at.focus + reach
 
 
-def dioptres(
-    now: Layers, facts: FrameFacts, real: Real, grid: np.ndarray
-) -> np.ndarray:
+def dioptres(now: Layers, facts: FrameFacts, real: Real, grid: ndarray) -> ndarray:
     """(h, w) 1/m of the composite: the object's where it covers half a pixel or more, else the
     real scene's."""
     rect = now.rect
@@ -137,9 +136,7 @@ def dioptres(
 # 3.3 Blur by luminance. What stands in front of a pixel does not flow into it
 
 
-def mean_filter(
-    colour: np.ndarray, dioptre: np.ndarray, weights: np.ndarray
-) -> np.ndarray:
+def mean_filter(colour: ndarray, dioptre: ndarray, weights: ndarray) -> ndarray:
     """(h, w, 3): mean of each pixel's surroundings without what stands in front of it.
     weights : (n,) float32 of a row and of a column, n odd; equal ones = the mean"""
     weights = (weights / weights.sum()).astype(np.float32)
@@ -181,7 +178,7 @@ def _mean_without_front(
                 out[y, x, c] = sums[c] / sums[3]
 
 
-def eq8_bleed(colour: np.ndarray, dioptre: np.ndarray) -> np.ndarray:
+def eq8_bleed(colour: ndarray, dioptre: ndarray) -> ndarray:
     """(h, w, 3): mean of the brighter ones among a pixel's eight neighbours, weighted by the luma
     that they have more;
     the pixel itself where none is brighter."""
@@ -216,8 +213,8 @@ def _bleed(out, top, bottom, colour, luma, dioptre):  # pragma: no cover - compi
 
 
 def within_depth_of_field(
-    dioptre: np.ndarray, sharp: tuple[float, float], border: float
-) -> np.ndarray:
+    dioptre: ndarray, sharp: tuple[float, float], border: float
+) -> ndarray:
     """By how much the blur factor counts: 2/3 within the limits `sharp`, 1 outside, smoothly
     between around them."""
     focus = 0.5 * (sharp[0] + sharp[1])
@@ -229,19 +226,17 @@ def within_depth_of_field(
     return INSIDE + (1 - INSIDE) * smoothstep(0.5 + (place - 1) / (2 * border))
 
 
-def eq9_blend(a: np.ndarray, blur: np.ndarray, original: np.ndarray) -> np.ndarray:
+def eq9_blend(a: ndarray, blur: ndarray, original: ndarray) -> ndarray:
     return original + (blur - original) * a[..., None].astype(np.float32)
 
 
-def _blended(
-    a: np.ndarray, blur: np.ndarray, coded: np.ndarray, image: np.ndarray
-) -> np.ndarray:
+def _blended(a: ndarray, blur: ndarray, coded: ndarray, image: ndarray) -> ndarray:
     """(9) in linear light; what is exactly in the focus stays bit for bit. image : `coded` in
     linear light"""
     return np.where(a[..., None] > 0, SRGB.decode(eq9_blend(a, blur, coded)), image)
 
 
-def _by_rows(work: Callable[..., np.ndarray], *arrays: np.ndarray) -> np.ndarray:
+def _by_rows(work: Callable[..., ndarray], *arrays: ndarray) -> ndarray:
     """work(arrays), a band of rows on each thread."""
     done = parallel_rows(
         lambda top, bottom: work(*(array[top:bottom] for array in arrays)),
@@ -263,17 +258,17 @@ class PrintedDof(Dof):
         return asked._replace(rect=frame if whole else object_box(facts, frame, 0.0))
 
     @property
-    def weights(self) -> np.ndarray:
+    def weights(self) -> ndarray:
         """Of the mean filter."""
         return np.ones(self.params.mean_px, np.float32)
 
-    def blurred(self, colour: np.ndarray, dioptre: np.ndarray) -> np.ndarray:
+    def blurred(self, colour: ndarray, dioptre: ndarray) -> ndarray:
         return eq8_bleed(mean_filter(colour, dioptre, self.weights), dioptre)
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
         return out.pad(len(self.weights) // 2 + 1).clip(scene.camera.rect)
 
-    def run(self, view: View, prepared: np.ndarray) -> Mapping[Layer, Any]:
+    def run(self, view: View, prepared: ndarray) -> Mapping[Layer, Any]:
         facts = view.facts
         now = view.layers
         image = now[Layer.IMAGE]
@@ -289,8 +284,8 @@ class PrintedDof(Dof):
         }
 
     def depth_and_blur(
-        self, now: Layers, facts: FrameFacts, scene: Scene, grid: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, now: Layers, facts: FrameFacts, scene: Scene, grid: ndarray
+    ) -> tuple[ndarray, ndarray]:
         """What one texture of Figure 6 holds: (h, w) dioptre, 1/m, and factor of the blend. grid :
         what `prepare` made"""
         p, (at, real) = self.params, self._frame(facts, scene)
@@ -305,7 +300,7 @@ class PrintedDof(Dof):
         return dioptre, a * (now[Layer.COVERAGE] > 0) if p.scope == "virtual" else a
 
     def _clip_planes(
-        self, facts: FrameFacts, real: Real, grid: np.ndarray
+        self, facts: FrameFacts, real: Real, grid: ndarray
     ) -> tuple[float, float]:
         """Dioptres of the far and of the near clip plane."""
         low, high = real.dioptre_range(grid)
@@ -335,10 +330,10 @@ class GaussianDof(PrintedDof):
     Params = GaussianDofParams
 
     @property
-    def weights(self) -> np.ndarray:
+    def weights(self) -> ndarray:
         variance = (self.params.mean_px**2 - 1) / 12  # of n even weights, px^2
         x = np.arange(-(reach := ceil(3 * sqrt(variance))), reach + 1)
         return np.exp(-(x**2) / (2 * max(variance, 1e-9))).astype(np.float32)
 
-    def blurred(self, colour: np.ndarray, dioptre: np.ndarray) -> np.ndarray:
+    def blurred(self, colour: ndarray, dioptre: ndarray) -> ndarray:
         return mean_filter(colour, dioptre, self.weights)

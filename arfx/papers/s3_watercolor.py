@@ -19,6 +19,7 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.colour import SRGB
 from arfx.core.compiled import kernel
@@ -80,7 +81,7 @@ def eq1_sites(rect: Rect, m: int, n: int, key: int) -> Sites:
 # 3.1.2 Stylised frame
 
 
-def depth_buffer(view: View, near_m: float) -> np.ndarray:
+def depth_buffer(view: View, near_m: float) -> ndarray:
     """(h, w) float32 0..1: what OpenGL's depth buffer holds with the far clip plane at infinity, 1
     - near_m / depth. Of the object, around it of the measured depth or the marker's plane; 1, as it
     is cleared, where nothing is known."""
@@ -99,7 +100,7 @@ def depth_buffer(view: View, near_m: float) -> np.ndarray:
     return np.clip(1 - near_m * dioptre, LEAST, 1).astype(np.float32)
 
 
-def cones(sites: Sites, size: np.ndarray, rect: Rect, m: int, n: int) -> np.ndarray:
+def cones(sites: Sites, size: ndarray, rect: Rect, m: int, n: int) -> ndarray:
     """(h, w) int32: whose cone is nearest. A cone's apex is at its site and at depth 0; where it is
     as wide as its size, (m n,), its depth is 1. Of m x n sites in a jittered grid."""
     # no pixel is farther from the site of its own cell of the grid than that cell's diagonal: no
@@ -134,7 +135,7 @@ def _draw_cones(x, y, size, length, depth, labels):  # pragma: no cover - compil
                     labels[j, i] = k
 
 
-def at_sites(pixels: np.ndarray, sites: Sites, rect: Rect) -> np.ndarray:
+def at_sites(pixels: ndarray, sites: Sites, rect: Rect) -> ndarray:
     """(m n, ...) what the picture holds at the sites."""
     x = np.clip(np.round(sites.x / STEPS) - rect.x0, 0, rect.width - 1).astype(int)
     y = np.clip(np.round(sites.y / STEPS) - rect.y0, 0, rect.height - 1).astype(int)
@@ -142,16 +143,16 @@ def at_sites(pixels: np.ndarray, sites: Sites, rect: Rect) -> np.ndarray:
 
 
 def voronoi(
-    buffer: np.ndarray, rect: Rect, m: int, n: int, key: int
-) -> tuple[Sites, np.ndarray]:
+    buffer: ndarray, rect: Rect, m: int, n: int, key: int
+) -> tuple[Sites, ndarray]:
     """(sites of (1), (h, w) whose cell), by cones as large as a buffer (h, w) is at their sites."""
     sites = eq1_sites(rect, m, n, key)
     return sites, cones(sites, at_sites(buffer, sites, rect), rect, m, n)
 
 
 def named_by_colour(
-    coded: np.ndarray, labels: np.ndarray, sites: Sites, rect: Rect
-) -> tuple[np.ndarray, int]:
+    coded: ndarray, labels: ndarray, sites: Sites, rect: Rect
+) -> tuple[ndarray, int]:
     """(labels, count) in which cells whose sites show one 8-bit colour are one cell.
 
     coded : (h, w, 3) 0..1"""
@@ -164,12 +165,12 @@ def named_by_colour(
 
 
 def toon(
-    myColor: np.ndarray,
-    normal: np.ndarray,
-    lightDir: np.ndarray,
+    myColor: ndarray,
+    normal: ndarray,
+    lightDir: ndarray,
     threshold: tuple[float, float],
     factor: tuple[float, float, float],
-) -> np.ndarray:
+) -> ndarray:
     """The listing. (h, w, 3) coded: the colour itself where n . l is above the first threshold, .4
     of it above .2, else .1.
 
@@ -178,28 +179,28 @@ def toon(
     return tones(intensity, threshold, factor, ramp=0.0)[..., None] * myColor
 
 
-def eq2_yuv(coded: np.ndarray, alpha: float, matrix: str) -> np.ndarray:
+def eq2_yuv(coded: ndarray, alpha: float, matrix: str) -> ndarray:
     """(1 - alpha) |grad Y| + alpha (|grad U| + |grad V|) / 2. coded : (h, w, 3) R'G'B' 0..1"""
     yuv = (coded @ yuv_matrix(matrix).T.astype(coded.dtype)).astype(np.float32)
     strength = gradient(yuv)
     return (1 - alpha) * strength[..., 0] + alpha * strength[..., 1:].mean(-1)
 
 
-def eq3_rgb(coded: np.ndarray) -> np.ndarray:
+def eq3_rgb(coded: ndarray) -> ndarray:
     """(|grad R| + |grad G| + |grad B|) / 3"""
     return gradient(np.asarray(coded, np.float32)).mean(-1)
 
 
 def eq4_edges(
-    coded: np.ndarray, alpha: float, beta: float, matrix: str = "bt601"
-) -> np.ndarray:
+    coded: ndarray, alpha: float, beta: float, matrix: str = "bt601"
+) -> ndarray:
     """(h, w) float32 beta Edge_YUV + (1 - beta) Edge_RGB, an edge where it is above the
     threshold."""
     own = beta * eq2_yuv(coded, alpha, matrix) + (1 - beta) * eq3_rgb(coded)
     return own.astype(np.float32)
 
 
-def gradient(a: np.ndarray) -> np.ndarray:
+def gradient(a: ndarray) -> ndarray:
     """(h, w, c) length of the difference to the pixels on the right and below; nothing lies behind
     the border."""
     dx = np.diff(a, axis=1, append=a[:, -1:])
@@ -217,14 +218,14 @@ class PrintedWatercolor(Watercolor):
     def prepare(self, scene: Scene, level: str) -> Any:
         return None
 
-    def run(self, view: View, prepared: None) -> Mapping[Layer, np.ndarray]:
+    def run(self, view: View, prepared: None) -> Mapping[Layer, ndarray]:
         p = self.params
         coded = self.frame(view)
         out = self.cells(view, coded)
         out[eq4_edges(coded, p.alpha, p.beta, p.yuv) > p.line_threshold] = 0
         return {Layer.IMAGE: SRGB.decode(out).astype(np.float32)}
 
-    def cells(self, view: View, coded: np.ndarray) -> np.ndarray:
+    def cells(self, view: View, coded: ndarray) -> ndarray:
         """(h, w, 3) the coded picture in the mean colours of its cells."""
         p = self.params
         rect = view.rect
@@ -235,7 +236,7 @@ class PrintedWatercolor(Watercolor):
         number, count = named_by_colour(coded, labels, sites, rect)
         return mean_colours(coded, [number], count)[0][number]
 
-    def frame(self, view: View) -> np.ndarray:
+    def frame(self, view: View) -> ndarray:
         """(h, w, 3) float32 coded: real scene and object, which is toon-shaded."""
         p = self.params
         image = view[Layer.IMAGE]

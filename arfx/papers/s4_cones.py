@@ -15,6 +15,7 @@ Its errors: docs/methods/gi.md#errata."""
 from __future__ import annotations
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.compiled import kernel
 from arfx.core.parallel import parallel_rows
@@ -30,7 +31,7 @@ TILT_COSINE = 0.619
 WIDE_DEG = 30.0  # half-angle of the six
 
 
-def six_cones() -> tuple[np.ndarray, np.ndarray, float]:
+def six_cones() -> tuple[ndarray, ndarray, float]:
     """(directions (6, 3) about +z, weights (6,), tangent of the half-angle): one up, five 52
     degrees from it."""
     turn = np.arange(5) * 2 * np.pi / 5
@@ -43,7 +44,7 @@ def six_cones() -> tuple[np.ndarray, np.ndarray, float]:
     return directions, weights, float(np.tan(np.radians(WIDE_DEG)))
 
 
-def around_normals(normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def around_normals(normals: ndarray, directions: ndarray) -> ndarray:
     """(m, k, 3) float32: directions (k, 3) about +z turned to each of the unit normals (m, 3)."""
     x, y, z = np.asarray(normals, np.float32).T
     a = 1 / np.maximum(1 + z, np.float32(1e-5))
@@ -56,7 +57,7 @@ def around_normals(normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
     return np.asarray(directions @ frame, np.float32)
 
 
-def cone_steps(tan_half: float, n: int) -> np.ndarray:
+def cone_steps(tan_half: float, n: int) -> ndarray:
     """(k, 3) float32 of a cone through n^3 voxels: distance of each sample, voxels; its level; ds /
     s. From where the cone is a voxel wide, or one voxel off, to 8 n, beyond which nothing is larger
     than a few degrees."""
@@ -72,11 +73,11 @@ def cone_steps(tan_half: float, n: int) -> np.ndarray:
 
 def cone_trace(
     volumes: Volumes,
-    V: np.ndarray,
-    steps: np.ndarray,
-    positions_m: np.ndarray,
-    directions: np.ndarray,
-) -> np.ndarray:
+    V: ndarray,
+    steps: ndarray,
+    positions_m: ndarray,
+    directions: ndarray,
+) -> ndarray:
     """(m, k, 4) radiance of V, and share of the background that is left, of cones from positions
     (m, 3), metres, anchor axes, in directions (m, k, 3), unit. V (nodes, 3) float32
     steps : of `cone_steps`"""

@@ -13,6 +13,7 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.light.surroundings import SIZE, foldable
 from arfx.core.cube import look_up, on_cube, on_faces
@@ -22,14 +23,14 @@ FULL = 65535  # of 16 bits
 OVER = 1e-6  # of half a face
 
 
-def step3_environment(image: np.ndarray, size: int = SIZE) -> np.ndarray:
+def step3_environment(image: ndarray, size: int = SIZE) -> ndarray:
     """(6, size, size, 3) radiance as of `surroundings.cube_from_picture`: the picture in
     thirds, its middle the front and, mirrored, the back, the parts beside the middle the sides.
     There is a seam where those meet the back."""
     picture = foldable(image)
     ys, xs = (np.linspace(0, n, 4).round().astype(int) for n in picture.shape[:2])
 
-    def third(row: int, column: int) -> np.ndarray:
+    def third(row: int, column: int) -> ndarray:
         part = picture[ys[row] : ys[row + 1], xs[column] : xs[column + 1]]
         return cv2.resize(part, (size, size), interpolation=cv2.INTER_AREA)
 
@@ -40,7 +41,7 @@ def step3_environment(image: np.ndarray, size: int = SIZE) -> np.ndarray:
     return np.stack([third(1, 2), left, third(2, 1), up, front, front])
 
 
-def step3_mipmap(cube: np.ndarray) -> list[np.ndarray]:
+def step3_mipmap(cube: ndarray) -> list[ndarray]:
     """RGBA16 (6, n + 2, n + 2, 4) uint16 of every level, each face with a border of its neighbours'
     texels.
 
@@ -51,7 +52,7 @@ def step3_mipmap(cube: np.ndarray) -> list[np.ndarray]:
     return [np.rint(with_border(level) * FULL).astype(np.uint16) for level in levels]
 
 
-def with_border(faces: np.ndarray) -> np.ndarray:
+def with_border(faces: ndarray) -> ndarray:
     """(6, n + 2, n + 2, c) of faces (6, n, n, c): the texels next to them over the edge."""
     n = faces.shape[1]
     out = look_up(faces, bordered_directions(n)).reshape(6, n + 2, n + 2, -1)
@@ -64,7 +65,7 @@ def with_border(faces: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=8)
-def bordered_directions(n: int) -> np.ndarray:
+def bordered_directions(n: int) -> ndarray:
     """(6 (n + 2)^2, 3) of the texels' centres, as `face_directions`, and of places just over the
     edge beside them."""
     t = np.clip((np.arange(-1, n + 1) + 0.5) / n * 2 - 1, -1 - OVER, 1 + OVER)
@@ -79,8 +80,8 @@ def mip_level(half_angle_deg: float, size: int = FACE_PX) -> float:
 
 
 def step4_environment(
-    mipmap: list[np.ndarray], directions: np.ndarray, half_angle_deg: float
-) -> np.ndarray:
+    mipmap: list[ndarray], directions: ndarray, half_angle_deg: float
+) -> ndarray:
     """(n, 3) radiance about the middles of cones (n, 3), camera axes, by their aperture."""
     from scipy.ndimage import map_coordinates
 

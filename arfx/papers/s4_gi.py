@@ -21,6 +21,7 @@ from collections.abc import Hashable, Mapping
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
@@ -82,29 +83,29 @@ class PrintedPrepared(NamedTuple):
     real: RayScene
     virtual: RayScene
     volumes: Volumes
-    grid: np.ndarray
+    grid: ndarray
 
 
 class Surfels(NamedTuple):
     """Points of surfaces that are shaded. position (m, 3), metres, normal (m, 3) and seen (m, 3),
     unit direction from the camera: anchor axes"""
 
-    position: np.ndarray
-    normal: np.ndarray
-    seen: np.ndarray
+    position: ndarray
+    normal: ndarray
+    seen: ndarray
 
     @property
-    def mirrored(self) -> np.ndarray:
+    def mirrored(self) -> ndarray:
         return self.seen + 2 * self.cosine[:, None] * self.normal
 
     @property
-    def cosine(self) -> np.ndarray:
+    def cosine(self) -> ndarray:
         """(m,) between the normal and the way to the camera."""
         return -(self.seen * self.normal).sum(-1)
 
 
 # mip levels of step 3's environment, and the rotation (3, 3) to the camera's axes from the anchor's
-Around = tuple[list[np.ndarray], np.ndarray]
+Around = tuple[list[ndarray], ndarray]
 
 
 class PrintedGi(Stage):
@@ -136,9 +137,7 @@ class PrintedGi(Stage):
         grid = direction_grid(scene.camera)
         return PrintedPrepared(RayScene(real), RayScene(scene), volumes, grid)
 
-    def run(
-        self, view: View, prepared: PrintedPrepared
-    ) -> Mapping[Layer, np.ndarray]:
+    def run(self, view: View, prepared: PrintedPrepared) -> Mapping[Layer, ndarray]:
         lamps = lamps_of(view.light)
         real, virtual, volumes, _ = prepared
         turn = view.scene.world_from_anchor.rotation
@@ -176,9 +175,7 @@ class PrintedGi(Stage):
         objects[rows] += coverage[:, None] * light
         return {Layer.VIRTUAL: objects, Layer.SHADOW: np.maximum(shadow, 0)}
 
-    def step4_real(
-        self, volumes: Volumes, V_delta: np.ndarray, at: Surfels
-    ) -> np.ndarray:
+    def step4_real(self, volumes: Volumes, V_delta: ndarray, at: Surfels) -> ndarray:
         """(m, 3) of V_delta on real surfaces: by the wide cones, and by the mirror cone, in which
         the object is reflected."""
         p = self.params
@@ -193,12 +190,12 @@ class PrintedGi(Stage):
     def step4_virtual(
         self,
         volumes: Volumes,
-        V_mu: np.ndarray,
+        V_mu: ndarray,
         around: Around,
         at: Surfels,
-        rho: np.ndarray,
-        material: np.ndarray,
-    ) -> np.ndarray:
+        rho: ndarray,
+        material: ndarray,
+    ) -> ndarray:
         """(m, 3) of V_mu, the rebuilt volume, and the environment behind it, on the object's
         surfaces."""
         metal, roughness, specular = np.split(material[:, :3], 3, 1)
@@ -219,7 +216,7 @@ class PrintedGi(Stage):
         return seen_rect(scene.camera, facts.pose.apply(corners), 1.0).clip(frame)
 
 
-def lamps_of(light: Light) -> list[tuple[np.ndarray, np.ndarray]]:
+def lamps_of(light: Light) -> list[tuple[ndarray, ndarray]]:
     """Direction (3,), unit, WORLD axes, and rgb (3,) of each directional light, in steps too small
     to show by way of voxels."""
     return [(lamp.unit, np.array(lamp.rgb)) for lamp in light_in_steps(light).lights]
@@ -264,8 +261,8 @@ def virtual_surfels(view: View, within: Rect) -> tuple[Rows, Surfels]:
 
 
 def wide_cones(
-    volumes: Volumes, V: np.ndarray, at: Surfels, around: Around | None = None
-) -> np.ndarray:
+    volumes: Volumes, V: ndarray, at: Surfels, around: Around | None = None
+) -> ndarray:
     """(m, 4) of six cones about the normal, .25 of the one along it and .15 of each of the five
     around, and of what is around behind them."""
     six, weights, tan_half = six_cones()
@@ -277,11 +274,11 @@ def wide_cones(
 
 def mirror_cones(
     volumes: Volumes,
-    V: np.ndarray,
+    V: ndarray,
     at: Surfels,
-    roughness: np.ndarray,
+    roughness: ndarray,
     around: Around | None = None,
-) -> np.ndarray:
+) -> ndarray:
     """(m, 4) of one narrow cone about the mirrored line of sight, and of what is around behind it.
     roughness (m,)"""
     tangent = mirror_tangent(np.rint(roughness * (LOBES - 1)) / (LOBES - 1))
@@ -295,12 +292,12 @@ def mirror_cones(
 
 def gathered(
     volumes: Volumes,
-    V: np.ndarray,
-    position: np.ndarray,
-    d: np.ndarray,
+    V: ndarray,
+    position: ndarray,
+    d: ndarray,
     tan_half: float,
     around: Around | None,
-) -> np.ndarray:
+) -> ndarray:
     """(m, k, 4) of cones from positions (m, 3) in directions (m, k, 3), and of what is around
     behind them."""
     out = cone_trace(volumes, V, cone_steps(tan_half, volumes.volume.n), position, d)
@@ -312,9 +309,7 @@ def gathered(
     return out
 
 
-def fresnel(
-    roughness: np.ndarray, cosine: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def fresnel(roughness: ndarray, cosine: ndarray) -> tuple[ndarray, ndarray]:
     """(a, b), (m, 1) each: F0 a + b of the mirrored light is reflected. roughness, cosine of view
     (m,)"""
     row = np.rint(np.clip(roughness, 0, 1) * (ROUGHNESSES - 1)).astype(int)

@@ -18,6 +18,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.numerics import normalise
 from arfx.papers.s4_volumes import Volumes
@@ -32,12 +33,12 @@ class ShadowMap(NamedTuple):
     position (k, 3), metres, anchor
     axes;  radiance (k, 3) that each virtual point light sends on"""
 
-    distance: np.ndarray
-    position: np.ndarray
-    radiance: np.ndarray
+    distance: ndarray
+    position: ndarray
+    radiance: ndarray
 
 
-def texel_rays(volume: Volume, direction: np.ndarray) -> np.ndarray:
+def texel_rays(volume: Volume, direction: ndarray) -> ndarray:
     """(k, 3) where the rays of a light from `direction` (3,), unit, anchor axes, begin: a grid over
     the volume."""
     half = np.sqrt(3) / 2 * volume.n * volume.voxel_m
@@ -55,7 +56,7 @@ def texel_rays(volume: Volume, direction: np.ndarray) -> np.ndarray:
 
 
 def shadow_map(
-    rays: RayScene, origins: np.ndarray, direction: np.ndarray, rgb: np.ndarray
+    rays: RayScene, origins: ndarray, direction: ndarray, rgb: ndarray
 ) -> ShadowMap:
     """What light `rgb` (3,) from `direction` (3,) meets: diffuse surfaces send rho x light x
     cosine."""
@@ -74,9 +75,9 @@ def shadow_maps(
     real: RayScene,
     virtual: RayScene,
     volume: Volume,
-    direction: np.ndarray,
-    rgb: np.ndarray,
-) -> tuple[ShadowMap, ShadowMap, np.ndarray]:
+    direction: ndarray,
+    rgb: ndarray,
+) -> tuple[ShadowMap, ShadowMap, ndarray]:
     """(R_rho, R_mu, shows (k,): texels of R_mu in which the object does)."""
     origins = texel_rays(volume, direction)
     R_rho, alone = (
@@ -89,8 +90,8 @@ def shadow_maps(
 
 
 def injected(
-    volumes: Volumes, lights: ShadowMap, of: np.ndarray | bool = True
-) -> np.ndarray:
+    volumes: Volumes, lights: ShadowMap, of: ndarray | bool = True
+) -> ndarray:
     """(leaves, 3) radiance times opacity of the virtual point lights `of` (k,). A later texel
     overwrites an earlier one."""
     out = np.zeros((len(volumes.codes), 3))
@@ -103,16 +104,16 @@ def injected(
 class Radiance(NamedTuple):
     """The three fields, (nodes, 3) float32 each: without the object, with it, and V_rho - V_mu."""
 
-    V_rho: np.ndarray
-    V_mu: np.ndarray
-    V_delta: np.ndarray
+    V_rho: ndarray
+    V_mu: ndarray
+    V_delta: ndarray
 
 
 def step2_radiance(
     volumes: Volumes,
     real: RayScene,
     virtual: RayScene,
-    lights: list[tuple[np.ndarray, np.ndarray]],
+    lights: list[tuple[ndarray, ndarray]],
 ) -> Radiance:
     """lights : direction (3,), unit, anchor axes, and rgb (3,) of each"""
     V_rho, V_mu, V_delta = np.zeros((3, len(volumes.codes), 3))

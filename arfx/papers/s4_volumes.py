@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.compiled import kernel
 from arfx.core.scene import Scene
@@ -31,9 +32,9 @@ class Octree(NamedTuple):
     4 z + 2 y + x, of the nodes over the lowest level;  eta (nodes, 4) float32 : V_eta
     depth : levels under the root"""
 
-    first: np.ndarray
-    mask: np.ndarray
-    eta: np.ndarray
+    first: ndarray
+    mask: ndarray
+    eta: ndarray
     depth: int
 
 
@@ -45,15 +46,15 @@ class Volumes(NamedTuple):
 
     volume: Volume
     tree: Octree
-    codes: np.ndarray
-    starts: list[np.ndarray]
+    codes: ndarray
+    starts: list[ndarray]
 
-    def in_voxels(self, positions_m: np.ndarray) -> np.ndarray:
+    def in_voxels(self, positions_m: ndarray) -> ndarray:
         """(n, 3), voxels of the lowest level from the cube's corner, of positions (n, 3), metres,
         anchor axes."""
         return (positions_m - self.volume.low_m) / self.volume.voxel_m
 
-    def leaf_of(self, positions_m: np.ndarray) -> np.ndarray:
+    def leaf_of(self, positions_m: ndarray) -> ndarray:
         """(n,) leaf that holds each position (n, 3), metres, anchor axes; -1 where nothing is
         stored."""
         cells = np.floor(self.in_voxels(positions_m))
@@ -62,7 +63,7 @@ class Volumes(NamedTuple):
         at = np.minimum(np.searchsorted(self.codes, code), len(self.codes) - 1)
         return np.where(inside & (self.codes[at] == code), at, -1)
 
-    def filtered(self, leaves: np.ndarray) -> np.ndarray:
+    def filtered(self, leaves: ndarray) -> ndarray:
         """As `step2_mean`."""
         return step2_mean(leaves, self.starts)
 
@@ -79,12 +80,12 @@ class Volumes(NamedTuple):
         return len(self.tree.eta) * (POINTER_BYTES + 4 * channels), dense
 
 
-def step2_mean(leaves: np.ndarray, starts: list[np.ndarray]) -> np.ndarray:
+def step2_mean(leaves: ndarray, starts: list[ndarray]) -> ndarray:
     """(nodes, c) float32 of values (leaves, c): n levels take n - 1 steps, from the lowest upwards.
 
     A voxel is the mean of its eight children, of which the missing ones are empty. Through a wall
     one voxel thick 1 - 2^-L of the light leaks at level L. starts : of `Volumes`"""
-    levels: list[np.ndarray] = [leaves.astype(np.float32)]
+    levels: list[ndarray] = [leaves.astype(np.float32)]
     for start in starts:
         levels.append(np.add.reduceat(levels[-1], start) / np.float32(8))
     return np.concatenate(levels[::-1])
@@ -114,15 +115,15 @@ def cube_around(scene: Scene, n: int) -> Volume:
 
 def octree_of(
     volume: Volume,
-    cells: np.ndarray,
-    normal: np.ndarray,
-    opacity: np.ndarray,
+    cells: ndarray,
+    normal: ndarray,
+    opacity: ndarray,
 ) -> Volumes:
     """cells (v, 3) int;  normal (v, 3);  opacity (v,)"""
     code = morton(cells)
     order = np.argsort(code)
     codes = [code[order]]
-    starts: list[np.ndarray] = []
+    starts: list[ndarray] = []
     masks = []
     while len(starts) < int(np.log2(volume.n)):
         above, start = np.unique(codes[-1] >> 3, return_index=True)
@@ -142,7 +143,7 @@ def octree_of(
     return Volumes(volume, tree, codes[0], starts)
 
 
-def morton(cells: np.ndarray) -> np.ndarray:
+def morton(cells: ndarray) -> ndarray:
     """(n,) codes of cells (n, 3) x, y, z: their bits interleaved, those of z first, so that >> 3 is
     the parent's."""
     out = np.zeros(len(cells), np.int64)

@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.compiled import kernel
 from arfx.core.numerics import divide, normalise
@@ -30,7 +31,7 @@ class Volume(NamedTuple):
     voxel_m : side of a voxel"""
 
     n: int
-    low_m: np.ndarray | tuple[float, float, float]
+    low_m: ndarray | tuple[float, float, float]
     voxel_m: float
 
 
@@ -39,9 +40,9 @@ class Voxels(NamedTuple):
     normal (v, 3) : unit, mean of the surface, anchor axes; 0 where two sides cancel
     opacity (v,) 0..1"""
 
-    cells: np.ndarray
-    normal: np.ndarray
-    opacity: np.ndarray
+    cells: ndarray
+    normal: ndarray
+    opacity: ndarray
 
 
 def voxelise(volume: Volume, *scenes: Scene) -> Voxels:

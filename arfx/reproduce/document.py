@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from numpy import ndarray
 
 from arfx.core.machine import usable_cores
 from arfx.measure.difference import level_difference
@@ -98,7 +98,7 @@ def text(value: Value) -> str:
     return f"{value:,.6g}" if abs(value) < 1e6 else f"{value:.4g}"
 
 
-def captioned(shown: Figure) -> Iterator[tuple[np.ndarray, str]]:
+def captioned(shown: Figure) -> Iterator[tuple[ndarray, str]]:
     """Every picture with its caption, followed by its error map where it is compared with
     another.
     """

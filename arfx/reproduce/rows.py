@@ -9,6 +9,7 @@ from decimal import Decimal
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.measure.difference import level_difference
 
@@ -89,7 +90,7 @@ def row(
     """
     pair = values if np.ndim(values) else (values, None)
     of_paper, corrected = (
-        v.item() if isinstance(v, (np.generic, np.ndarray)) else v for v in pair
+        v.item() if isinstance(v, (np.generic, ndarray)) else v for v in pair
     )
     known: list[Any] = [value for value in (of_paper, corrected) if value is not None]
     if below is not None:
@@ -130,7 +131,7 @@ class Figure(NamedTuple):
 
     item: str
     title: str
-    pictures: Mapping[str, np.ndarray]
+    pictures: Mapping[str, ndarray]
 
 
 class Plot(NamedTuple):
@@ -144,9 +145,7 @@ class Plot(NamedTuple):
     figure: Any
 
 
-def errors(
-    made: Mapping[str, np.ndarray], before: np.ndarray, least: float
-) -> list[float]:
+def errors(made: Mapping[str, ndarray], before: ndarray, least: float) -> list[float]:
     """Mean grey levels of the PRINTED and the CORRECTED picture from REFERENCE, where any of them
     changes the frame by more than `least`."""
     on = np.max([level_difference(own, before) for own in made.values()], 0) > least
@@ -156,7 +155,7 @@ def errors(
     ]
 
 
-def eight_bit(coded: np.ndarray) -> np.ndarray:
+def eight_bit(coded: ndarray) -> ndarray:
     """(h, w, 3) uint8 of coded values 0..1, of one channel or three; of uint8 as they are."""
     if coded.dtype == np.uint8:
         return coded

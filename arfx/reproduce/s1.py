@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.config.load import merge
 from arfx.core.cube import look_up
@@ -61,7 +62,7 @@ class Lamp(NamedTuple):
     rgb: tuple[float, float, float] = (0.52, 0.5, 0.46)
 
     @property
-    def towards(self) -> np.ndarray:
+    def towards(self) -> ndarray:
         return direction_of(*np.radians([self.azimuth_deg, self.elevation_deg]))
 
 
@@ -97,7 +98,7 @@ class Situation:
         merged = reduce(merge, settings, self.model)
         return self.work.shot(self.clip, merged, self.last)
 
-    def lamp_in_world(self, shot: Shot) -> np.ndarray:
+    def lamp_in_world(self, shot: Shot) -> ndarray:
         """In the card's axes in the last frame; the room's are the card's in the first. The
         camera rests.
         """
@@ -189,9 +190,7 @@ def figure_1(situation: Situation) -> Items:
     )
 
 
-def drawn_hemisphere(
-    level: int, M: np.ndarray, lights: list[np.ndarray]
-) -> np.ndarray:
+def drawn_hemisphere(level: int, M: ndarray, lights: list[ndarray]) -> ndarray:
     """(side, side, 3) R'G'B': the triangles from above, as bright as M (k, 3); those
     nearest to `lights` (3,) bordered red.
     """

@@ -5,6 +5,7 @@ readings made here.
 from __future__ import annotations
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.light.fit import fit
 from arfx.analyse.light.hypotheses import MEASURED
@@ -81,13 +82,13 @@ def equation_1() -> Items:
     )
 
 
-def clip(seed: int, frames: int = 25) -> tuple[np.ndarray, np.ndarray]:
+def clip(seed: int, frames: int = 25) -> tuple[ndarray, ndarray]:
     """(grey (t, 8) of ink and paper, 0..1, light (t,) of 255), without noise."""
     y = np.random.default_rng(seed).uniform(60, 230, frames)
     return (RHO * y[:, None] + BIAS) / 255, y
 
 
-def three(grey: np.ndarray) -> np.ndarray:
+def three(grey: ndarray) -> ndarray:
     return np.repeat(grey[..., None], 3, 2)
 
 
@@ -192,7 +193,7 @@ def equation_7() -> Items:
     )
 
 
-def weights(cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def weights(cosine: ndarray) -> tuple[ndarray, ndarray]:
     """(8) as printed, and corrected."""
     return eq8_weight(cosine, S_RAD), squared_weight(cosine, S_RAD)
 
@@ -221,12 +222,12 @@ def equation_8() -> Items:
     )
 
 
-def lit(n: np.ndarray, lamps: np.ndarray) -> np.ndarray:
+def lit(n: ndarray, lamps: ndarray) -> ndarray:
     """(k, 3) irradiance of lamps of strength 1 in directions (l, 3), and even light."""
     return np.repeat((0.2 + np.maximum(n @ lamps.T, 0).sum(1))[:, None], 3, 1)
 
 
-def cap(count: int) -> np.ndarray:
+def cap(count: int) -> ndarray:
     """(count, 3) normals within 75 degrees of UP."""
     rng = np.random.default_rng(0)
     z = 1 - rng.random(count) * (1 - np.cos(np.radians(75)))
@@ -261,6 +262,6 @@ def equation_9() -> Items:
     )
 
 
-def off_deg(found: np.ndarray, lamps: np.ndarray) -> float:
+def off_deg(found: ndarray, lamps: ndarray) -> float:
     """Largest angle from a found direction (k, 3) to the nearest lamp."""
     return max(float(np.degrees(angle_between(d, lamps).min())) for d in found)

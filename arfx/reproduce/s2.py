@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy import ndarray
 
 from arfx.core.lens import Lens, circle_of_confusion_mm, depth_of_field
 from arfx.measure.plots import INK, styled
@@ -74,7 +75,7 @@ def _same(item: str, printed: str, value: float, other: float) -> Row:
     return row(item, printed, (value, other), "mm", "another length", same)
 
 
-def _sharp_mm() -> np.ndarray:
+def _sharp_mm() -> ndarray:
     """(2, 2) what is sharp before the focus, as printed and corrected, and behind it."""
     both = printed_limits(LENS, C), depth_of_field(LENS, C)
     return np.array([(limits.front_mm, limits.back_mm) for limits in both], float).T
@@ -161,7 +162,7 @@ def _example() -> Items:
 
 
 @styled
-def _plot(distance: np.ndarray, circle: np.ndarray, limits: np.ndarray) -> Plot:
+def _plot(distance: ndarray, circle: ndarray, limits: ndarray) -> Plot:
     """Of figure 3. limits : of what is sharp, as printed and corrected, mm"""
     figure = Figure((7.6, 3.2))
     axis = figure.subplots()
@@ -201,7 +202,7 @@ def _luminance() -> Items:
     around = np.array([[100, 120, 90], [180, 100, 100], [60, 100, 140]], np.float32)
     flat = np.ones((3, 3), np.float32)
 
-    def middle(grey: np.ndarray) -> np.float32:
+    def middle(grey: ndarray) -> np.float32:
         """Of 3 x 3 pixels."""
         bled: np.float32 = eq8_bleed(np.dstack([grey] * 3), flat)[1, 1, 0]
         return bled

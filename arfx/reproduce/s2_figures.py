@@ -7,6 +7,7 @@ import platform
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.colour import SRGB, yuv_from_rgb
 from arfx.core.layers import Layer
@@ -49,7 +50,7 @@ BALLS_M = {
     "real": ((-0.13, 0.08, 0.04), 0.04),
     "virtual": ((0.0, 0.0, BALL_M), BALL_M),
 }
-Pictures = dict[str, np.ndarray]
+Pictures = dict[str, ndarray]
 
 
 PC_MB = 2048.0
@@ -106,7 +107,7 @@ def _diagrams() -> Items:
     )
 
 
-def _coordinates(shot: Shot, picture: np.ndarray, camera_m: np.ndarray) -> Items:
+def _coordinates(shot: Shot, picture: ndarray, camera_m: ndarray) -> Items:
     """The axes of the world, drawn into the picture. camera_m : where the camera stands"""
     pose = shot.facts.pose
     drawn = picture.copy()
@@ -191,7 +192,7 @@ def _steps(shot: Shot, made: Pictures) -> Items:
     yield Figure("figure 11", "sharp and blurred picture blended by (9)", made)
 
 
-def _points(shot: Shot, made: Pictures, points_m: np.ndarray) -> Items:
+def _points(shot: Shot, made: Pictures, points_m: ndarray) -> Items:
     """Figures 12 and 13: the Gaussian filter and the printed method, beside one another."""
     at = shot.job.scene.camera.project(shot.facts.pose.apply(points_m))
     gaussian = under(shot, "gaussian").picture()
@@ -226,7 +227,7 @@ def _points(shot: Shot, made: Pictures, points_m: np.ndarray) -> Items:
     yield Figure("figure 13", "the bright points, twice as large", near)
 
 
-def _in_focus(shot: Shot, before: np.ndarray) -> Items:
+def _in_focus(shot: Shot, before: ndarray) -> Items:
     closed = {
         PRINTED: under(shot, PAPER, aperture_px=0.4).picture(),
         CORRECTED: under(shot, CORRECTED, aperture_px=0.4).picture(),
@@ -267,12 +268,12 @@ def _out_of_focus(shot: Shot, made: Pictures) -> Items:
     )
 
 
-def _levels(a: np.ndarray, b: np.ndarray) -> float:
+def _levels(a: ndarray, b: ndarray) -> float:
     """Mean difference in grey levels."""
     return float(np.abs(a.astype(float) - b).mean())
 
 
-def _spread(picture: np.ndarray, at: np.ndarray) -> float:
+def _spread(picture: ndarray, at: ndarray) -> float:
     """Pixels of a bright point, on average: those around it that are brighter than the wall
     there.
     """
@@ -285,7 +286,7 @@ def _spread(picture: np.ndarray, at: np.ndarray) -> float:
     return float(np.mean(found))
 
 
-def _steepest(picture: np.ndarray, centre: np.ndarray, radius: float) -> float:
+def _steepest(picture: ndarray, centre: ndarray, radius: float) -> float:
     """Greatest slope across the ball's left and right outline, grey levels a pixel, mean of
     rows around its middle.
     """

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.settings import converted
 from arfx.papers import PAPER
@@ -125,7 +126,7 @@ def desk(work: Work, samples: int, **parts: str) -> SceneFile:
     return scene_of(work, (400, 320), samples, **STILL, **parts)
 
 
-def photograph(work: Work) -> np.ndarray:
+def photograph(work: Work) -> ndarray:
     """(h, w, 3) uint8 of what a camera with an open lens sees where the virtual ball is a
     real one.
     """

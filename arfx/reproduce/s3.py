@@ -6,6 +6,7 @@ cells on a plane, steps of colour, a resting camera."""
 from __future__ import annotations
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.layers import Layer
 from arfx.papers import s3_watercolor as paper
@@ -301,7 +302,7 @@ def time_rows(frame: Shown, work: Work) -> Items:
     yield Figure(item, "change from a frame to the next, × 8", pictures)
 
 
-def _threshold(tones: np.ndarray, cosine: np.ndarray) -> float:
+def _threshold(tones: ndarray, cosine: ndarray) -> float:
     """Cosine at which the tone is half-way between the lower two of three, to .001."""
     middle = (tones[0] + tones[np.searchsorted(cosine, 0.35)]) / 2
     return float(cosine[np.searchsorted(tones, middle)].round(3))

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 from scipy import ndimage
 
 from arfx.core.colour import SRGB
@@ -46,10 +47,10 @@ class Shown(NamedTuple):
     layers: Layers
     facts: FrameFacts
     scene: Scene
-    real: np.ndarray
+    real: ndarray
 
     @property
-    def image(self) -> np.ndarray:
+    def image(self) -> ndarray:
         """(h, w, 3) float32 coded: the frame with the objects."""
         return coded(self.layers[Layer.IMAGE])
 
@@ -59,7 +60,7 @@ class Shown(NamedTuple):
     def view(self, stage: Watercolor) -> View:
         return self.ready(stage).view(self.layers, self.facts)
 
-    def painted(self, stage: Watercolor) -> np.ndarray:
+    def painted(self, stage: Watercolor) -> ndarray:
         """(h, w, 3) float32 coded."""
         return coded(self.ready(stage).run(self.layers, self.facts)[Layer.IMAGE])
 
@@ -74,7 +75,7 @@ class Shown(NamedTuple):
         )
         return self._replace(layers=layers, facts=replace(self.facts, index=index))
 
-    def objects(self) -> dict[str, np.ndarray]:
+    def objects(self) -> dict[str, ndarray]:
         """(h, w) bool of the pixels of each object: the model's parts from left to right."""
         middle = np.array([p.vertices[:, 0].mean() for p in self.scene.model.parts])
         place = (middle - middle.min()) / np.ptp(
@@ -84,7 +85,7 @@ class Shown(NamedTuple):
         number = kind[self.layers[Layer.OBJECT_ID]]
         return {name: number == k for k, name in enumerate(OBJECTS)}
 
-    def real_outlines(self) -> np.ndarray:
+    def real_outlines(self) -> ndarray:
         """(h, w) bool: pixels that are nearer by a tenth than one beside them, of the real
         scene beside the objects.
         """
@@ -96,7 +97,7 @@ class Shown(NamedTuple):
         )
 
 
-def coded(linear: np.ndarray | Pixels) -> np.ndarray:
+def coded(linear: ndarray | Pixels) -> ndarray:
     """(h, w, 3) float32."""
     return SRGB.encode(np.clip(np.asarray(linear), 0, 1)).astype(np.float32)
 
@@ -162,12 +163,12 @@ def edge_of(
     return float(own), float(corrected * n / 2)
 
 
-def printed_edges(coded: np.ndarray, p: PrintedWatercolorParams) -> np.ndarray:
+def printed_edges(coded: ndarray, p: PrintedWatercolorParams) -> ndarray:
     """(h, w) bool"""
     return paper.eq4_edges(coded, p.alpha, p.beta, p.yuv) > p.line_threshold
 
 
-def corrected_lines(shown: Shown) -> np.ndarray:
+def corrected_lines(shown: Shown) -> ndarray:
     """(h, w) float32 strength of the lines of a frame, 0..1."""
     stage = corrected()
     view = shown.view(stage)
@@ -176,7 +177,7 @@ def corrected_lines(shown: Shown) -> np.ndarray:
 
 def change_at_rest(
     shown: Shown, stage: Watercolor, frames: int
-) -> tuple[float, np.ndarray]:
+) -> tuple[float, ndarray]:
     """Of a resting, noisy camera: mean squared difference from frame to frame, and that of
     the first two (h, w, 3), coded."""
     made = [shown.noisy(100 + k, NOISE).painted(stage) for k in range(frames)]
@@ -184,7 +185,7 @@ def change_at_rest(
     return float(np.mean(change**2)), abs(change[0])
 
 
-def areas_on_plane(bands: int, repeats: int) -> tuple[np.ndarray, np.ndarray]:
+def areas_on_plane(bands: int, repeats: int) -> tuple[ndarray, ndarray]:
     """(depth, m, of bands of a plane that goes from FAR_M above to NEAR_M below; mean area
     of printed cells there, px, with cones by the depth buffer)."""
     height = _SIZE.height
@@ -207,7 +208,7 @@ def areas_on_plane(bands: int, repeats: int) -> tuple[np.ndarray, np.ndarray]:
     return middle, sums[0] / sums[1]
 
 
-def convex_share(labels: np.ndarray) -> float:
+def convex_share(labels: ndarray) -> float:
     """Of the cells, those that hold every pixel whose centre lies in the hull of their
     pixels' centres.
     """
@@ -236,7 +237,7 @@ def rectangles_with_site(sites: Sites, rect: Rect, m: int, n: int) -> float:
     return float(held.mean())
 
 
-def mean_error(image: np.ndarray, labels: np.ndarray) -> float:
+def mean_error(image: ndarray, labels: ndarray) -> float:
     """Grey levels from the colours of cells to the means of their pixels, at most."""
     used = np.unique(labels)
     colours = mean_colours(image, [labels], int(used.max()) + 1)[0][used]
@@ -246,11 +247,11 @@ def mean_error(image: np.ndarray, labels: np.ndarray) -> float:
     return float(255 * np.abs(colours - np.stack(exact, -1)).max())
 
 
-def outline(thing: np.ndarray) -> np.ndarray:
+def outline(thing: ndarray) -> ndarray:
     """(h, w) bool: pixels of it beside others."""
     return thing & ~ndimage.binary_erosion(thing, np.ones((3, 3)), border_value=1)
 
 
-def share_near(where: np.ndarray, edges: np.ndarray) -> float:
+def share_near(where: ndarray, edges: ndarray) -> float:
     """Share of the pixels `where` with an edge at most 2 px away. Both (h, w) bool"""
     return float(ndimage.binary_dilation(edges, np.ones((5, 5)))[where].mean())

@@ -10,6 +10,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.colour import SRGB
 from arfx.core.layers import Layer
@@ -79,7 +80,7 @@ def on_the_plane(work: Work) -> Items:
     of the pixels around the cube.
     """
 
-    def change(settings: Settings) -> np.ndarray:
+    def change(settings: Settings) -> ndarray:
         shot = work.shot(flat_scene(work), settings, 1)
         changed = shot.layer(Layer.IMAGE) - without_planes(shot).layer(Layer.IMAGE)
         return np.asarray(changed[ring(shot.layer(Layer.COVERAGE))].mean(0))
@@ -119,7 +120,7 @@ def without_planes(shot: Shot) -> Shot:
     )
 
 
-def ring(coverage: np.ndarray) -> np.ndarray:
+def ring(coverage: ndarray) -> ndarray:
     """(h, w) bool: pixels beside what is covered."""
     covered = (coverage > 0).astype(np.uint8)
     side = 2 * (len(coverage) // 12) + 1
@@ -160,7 +161,7 @@ def beside_reference(
     yield Figure(item, title, {BEFORE: before, **made})
 
 
-def mirrored_room(clip: Clip, shot: Shot, picture: np.ndarray) -> np.ndarray:
+def mirrored_room(clip: Clip, shot: Shot, picture: ndarray) -> ndarray:
     """The picture (h, w, 3) uint8 with the object's pixels as a mirror in the room of the
     clip, whose axes are the marker's.
     """
@@ -193,7 +194,7 @@ def mirrored_room(clip: Clip, shot: Shot, picture: np.ndarray) -> np.ndarray:
     return out
 
 
-def mirror_rays(origins: np.ndarray, towards: np.ndarray) -> Rays:
+def mirror_rays(origins: ndarray, towards: ndarray) -> Rays:
     """From points (n, 3) in directions (n, 3) of any length, each as wide as `FOOTPRINT_RAD`."""
     forward = normalise(towards)
     aside = normalise(np.cross(forward, np.eye(3)[np.abs(forward).argmin(-1)]))

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.config.load import load, merge
 from arfx.config.sections import JobConfig
@@ -57,7 +58,7 @@ class Clip(NamedTuple):
     folder: Path
     scene: SceneFile
 
-    def frames(self) -> list[np.ndarray]:
+    def frames(self) -> list[ndarray]:
         """Every frame, (h, w, 3) uint8 R'G'B'."""
         with ClipReader(probe(self.folder / self.scene.clip.file)) as reader:
             return [frame.rgb8() for frame in reader.frames()]
@@ -98,11 +99,11 @@ class Shot(NamedTuple):
     def stages(self) -> dict[str, Stage]:
         return {stage.name: stage for stage, _ in self.chain}
 
-    def picture(self) -> np.ndarray:
+    def picture(self) -> ndarray:
         """(h, w, 3) uint8 sRGB of the whole frame after all steps."""
         return self.renderer.image(self.chain)
 
-    def layer(self, name: Layer) -> np.ndarray:
+    def layer(self, name: Layer) -> ndarray:
         return self.renderer.layer(self.chain, name)
 
     def up_to(self, stage: str) -> Chain:

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
+from numpy import ndarray
 
 import arfx
 from arfx.core.facts import FrameFacts
@@ -375,7 +376,7 @@ def save_preview(folder: Path, index: int, before: Frame, after: Frame) -> None:
     cv2.imwrite(str(folder / f"{index:06d}.bmp"), pair[..., ::-1])
 
 
-def load_previews(folder: Path) -> list[tuple[int, np.ndarray, np.ndarray]]:
+def load_previews(folder: Path) -> list[tuple[int, ndarray, ndarray]]:
     """(frame number, before, after), RGB uint8, in order."""
     import cv2
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
@@ -47,7 +48,7 @@ class FrameLayers:
         return Layers(rect, dict(self.stored))
 
     def put(
-        self, name: Layer, output: np.ndarray | Pixels, need: Rect, out: Rect
+        self, name: Layer, output: ndarray | Pixels, need: Rect, out: Rect
     ) -> Pixels:
         """Write what a stage returned that saw `need`, over `out`; the rest stays. Returns
         what is new.
@@ -76,7 +77,7 @@ class FrameResult:
     layers: FrameLayers
 
     @property
-    def image(self) -> np.ndarray:
+    def image(self) -> ndarray:
         """(h, w, 3) linear over `rect`."""
         return self.layers.view(self.rect)[Layer.IMAGE]
 
@@ -98,12 +99,12 @@ def ready_stages(
 
 
 def run_frame(
-    plate: Plate | np.ndarray,
+    plate: Plate | ndarray,
     facts: FrameFacts,
     plan: FramePlan,
     ready: Mapping[str, ReadyStage],
-    real_depth_m: np.ndarray | None = None,
-    colours: np.ndarray | None = None,
+    real_depth_m: ndarray | None = None,
+    colours: ndarray | None = None,
 ) -> FrameResult:
     """Run a plan that has steps.
 
@@ -116,7 +117,7 @@ def run_frame(
 
     Raises RenderError naming stage, frame and pixel if a stage makes a value that is not
     finite; with the distribution, what a plug-in raises, and a layer beside IMAGE."""
-    if isinstance(plate, np.ndarray):
+    if isinstance(plate, ndarray):
         plate = Plate.of(plate, plan.rect)
     layers = FrameLayers(plate)
     if real_depth_m is not None:
@@ -148,7 +149,7 @@ def run_frame(
 
 def real_depth_layer(
     maps: DepthMaps, facts: FrameFacts, frame: Frame, camera: Camera, rect: Rect
-) -> np.ndarray | None:
+) -> ndarray | None:
     """REAL_DEPTH over `rect`: metres, > 0 everywhere, holes filled along the picture's
     edges; None where there is none.
 
@@ -167,9 +168,7 @@ def real_depth_layer(
     return np.ascontiguousarray(whole[rect.slices]) * np.float32(real.scale)
 
 
-def _converted(
-    output: np.ndarray | Pixels, colours: np.ndarray
-) -> np.ndarray | Pixels:
+def _converted(output: ndarray | Pixels, colours: ndarray) -> ndarray | Pixels:
     """Linear colours (h, w, 3) in other primaries."""
     array = output.array if isinstance(output, Pixels) else output
     if not array.size:

@@ -8,6 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.markers.pattern import check_turned, coded_luma
 from arfx.config.sections import JobConfig, PatternSection
@@ -50,10 +51,10 @@ class Inputs:
     marker_map: Mapping[str, Pose] | None
     output: OutputPlan
     notices: tuple[str, ...]
-    panorama: np.ndarray | None
+    panorama: ndarray | None
     depth: DepthMaps | None
     poses: CameraPath | None
-    prints: Mapping[str, np.ndarray]
+    prints: Mapping[str, ndarray]
 
 
 def open_inputs(config: JobConfig, progress: Progress = lambda *_: None) -> Inputs:
@@ -129,7 +130,7 @@ def check_complete(config: JobConfig) -> None:
         raise ConfigError("no output is named", "-o out.mp4")
 
 
-def job_prints(config: JobConfig) -> tuple[JobConfig, dict[str, np.ndarray]]:
+def job_prints(config: JobConfig) -> tuple[JobConfig, dict[str, ndarray]]:
     """The job with the heights of its patterns, and their pictures by key.
     Raises InputError, and ConfigError for one that looks the same turned."""
     specs, prints, light = [], {}, config.params["light"]
@@ -157,7 +158,7 @@ def job_depth(config: JobConfig) -> DepthMaps | None:
     )
 
 
-def panorama(config: JobConfig) -> np.ndarray | None:
+def panorama(config: JobConfig) -> ndarray | None:
     """(h, w, 3) linear radiance of the job's environment picture. Raises InputError."""
     path = config.params["light"].environment
     if path is None:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.facts import FrameFacts
 from arfx.core.marker import anchor_marker
@@ -91,13 +92,13 @@ def check_size(scene: Scene, facts: Sequence[FrameFacts]) -> list[str]:
     ]
 
 
-def _camera_in_model(facts: FrameFacts, model_from_world: np.ndarray) -> np.ndarray:
+def _camera_in_model(facts: FrameFacts, model_from_world: ndarray) -> ndarray:
     assert facts.camera_from_world is not None
     centre = facts.camera_from_world.inverse().translation_m
     return model_from_world[:3, :3] @ centre + model_from_world[:3, 3]
 
 
-def _winding(model: Model, point: np.ndarray) -> float:
+def _winding(model: Model, point: ndarray) -> float:
     """How often the surface goes around a point: 1 inside a closed one, 0 outside, -1 in a
     room seen from within. Sum of the triangles' solid angles (Van Oosterom and Strackee
     1983, equation 8)."""

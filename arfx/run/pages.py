@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy import ndarray
 
 import arfx
 from arfx.core.opener import printable
@@ -83,7 +84,7 @@ def percent(share: float, digits: int = 0) -> str:
     return f"{share:.{digits}%}"
 
 
-def jpeg(rgb: np.ndarray, quality: int = 88) -> str:
+def jpeg(rgb: ndarray, quality: int = 88) -> str:
     """The address of an (h, w, 3) uint8 RGB picture; quality : 0 to 100"""
     import cv2
 

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.job import AnalysisFrame, AnalysisJob
 from arfx.analyse.observe import Observation
@@ -178,7 +179,7 @@ class _Listed(Document):
 
     key: str
     stretches: Stretches
-    prints: Mapping[str, Annotated[np.ndarray, Packed("<f4", "f4")]]
+    prints: Mapping[str, Annotated[ndarray, Packed("<f4", "f4")]]
 
 
 _contexts: dict[tuple[str, str], Context] = {}

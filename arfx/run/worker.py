@@ -18,7 +18,7 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from numpy import ndarray
 
 from arfx.config.load import load
 from arfx.config.sections import JobConfig
@@ -61,7 +61,7 @@ class Context:
     facts: Lines[FrameFacts]
     plans: Lines[FramePlan]
     depth: DepthMaps | None
-    colours: np.ndarray | None
+    colours: ndarray | None
     ready: dict[tuple[str, str], ReadyStage] = field(default_factory=dict)
 
 

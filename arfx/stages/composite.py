@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.compiled import kernel
 from arfx.core.facts import FrameFacts
@@ -68,11 +69,11 @@ class Composite(Stage):
 
 
 def shade(
-    plate: np.ndarray,
-    shadow: np.ndarray,
+    plate: ndarray,
+    shadow: ndarray,
     opacity: np.float32,
-    bias: np.ndarray,
-    out: np.ndarray,
+    bias: ndarray,
+    out: ndarray,
 ) -> None:
     """The plane's pixels without an object before it: the same as `_over` with coverage 0.
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.numerics import divide
 from arfx.core.rect import Rect
@@ -33,9 +34,7 @@ def reach_px(scene: Scene) -> int:
     return 2 * _PASSES * window_px(scene)
 
 
-def refined(
-    mask: np.ndarray, valid: np.ndarray, plate: np.ndarray, radius_px: int
-) -> np.ndarray:
+def refined(mask: ndarray, valid: ndarray, plate: ndarray, radius_px: int) -> ndarray:
     """mask (h, w) float32 0..1, its edges moved to those of plate; the same bits where it
     is even all around.
 
@@ -67,22 +66,22 @@ def refined(
 
 
 def _guided(
-    mask: np.ndarray, i: list[np.ndarray], radius_px: int, weight: np.ndarray
-) -> np.ndarray:
+    mask: ndarray, i: list[ndarray], radius_px: int, weight: ndarray
+) -> ndarray:
     """(h, w) float32, 0..1, after _PASSES.
 
     i : three channels (h, w);  weight : (h, w), of each pixel in the means
     """
     side = 2 * radius_px + 1
 
-    def sums(a: np.ndarray) -> np.ndarray:
+    def sums(a: ndarray) -> ndarray:
         return cv2.boxFilter(
             a, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT
         )
 
     scale = divide(1.0, sums(weight)).astype(np.float32)
 
-    def mean(a: np.ndarray) -> np.ndarray:
+    def mean(a: ndarray) -> ndarray:
         return sums(a * weight) * scale
 
     m = [mean(c) for c in i]

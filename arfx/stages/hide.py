@@ -17,6 +17,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
@@ -74,7 +75,7 @@ class Hide(Stage):
             else out.pad(reach_px(scene)).clip(scene.camera.rect)
         )
 
-    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, ndarray]:
         coverage, virtual = view[Layer.COVERAGE], view[Layer.VIRTUAL]
         visibility = rough_mask(
             coverage,
@@ -94,8 +95,8 @@ class Hide(Stage):
 
 
 def rough_mask(
-    coverage: np.ndarray, depth: np.ndarray, real: np.ndarray, margin: float
-) -> np.ndarray:
+    coverage: ndarray, depth: ndarray, real: ndarray, margin: float
+) -> ndarray:
     """(h, w) float32: 1 = seen, 0 = hidden, by depth alone; 1 where the object is not or a
     depth is none.
 

@@ -17,6 +17,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
@@ -63,7 +64,7 @@ class Holdout(Stage):
             else out.pad(reach_px(scene)).clip(scene.camera.rect)
         )
 
-    def prepare(self, scene: Scene, level: str) -> np.ndarray:
+    def prepare(self, scene: Scene, level: str) -> ndarray:
         return direction_grid(scene.camera)
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, Pixels]:
@@ -90,9 +91,7 @@ class Holdout(Stage):
         return {Layer.SHADOW: Pixels(inside, shadow + (1 - shadow) * (1 - fraction))}
 
 
-def plane_dioptres(
-    grid: np.ndarray, camera_from_plane: Pose, rect: Rect
-) -> np.ndarray:
+def plane_dioptres(grid: ndarray, camera_from_plane: Pose, rect: Rect) -> ndarray:
     """(h, w) float32, 1/m: of the plane z = 0 along each pixel's axis; <= 0 where it is not
     in view.
 

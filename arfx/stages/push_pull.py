@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.numerics import EPS_WEIGHT
 
 
-def fill_unknown(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+def fill_unknown(values: ndarray, known: ndarray) -> ndarray:
     """Values where they are known, elsewhere the mean of known ones, as near as there are any.
 
     values : (h, w, c) float32, 1 to 4 channels;  known : (h, w) bool
@@ -22,7 +23,7 @@ def fill_unknown(values: np.ndarray, known: np.ndarray) -> np.ndarray:
     return cv2.copyTo(values, mask, around).reshape(values.shape)
 
 
-def _filled(sums: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def _filled(sums: ndarray, weight: ndarray) -> ndarray:
     """Means of cells, and where less than a quarter of a cell is known, of those around.
 
     sums : (h, w, c) means of values, 0 where unknown;  weight : (h, w) how much of a cell is
@@ -38,6 +39,6 @@ def _filled(sums: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return around + (means - around) * np.minimum(4 * weights, np.float32(1))
 
 
-def _halved(a: np.ndarray) -> np.ndarray:
+def _halved(a: ndarray) -> ndarray:
     size = (a.shape[1] + 1) // 2, (a.shape[0] + 1) // 2
     return cv2.resize(a, size, interpolation=cv2.INTER_AREA)

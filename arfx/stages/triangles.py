@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.numerics import divide
 from arfx.core.parallel import parallel_map
@@ -22,7 +23,7 @@ class Triangles:
     an edge
     """
 
-    def __init__(self, corners: np.ndarray, robust: bool = False) -> None:
+    def __init__(self, corners: ndarray, robust: bool = False) -> None:
         from embreex import rtcore_scene
         from embreex.mesh_construction import TriangleMesh
 
@@ -32,29 +33,29 @@ class Triangles:
         )
 
     def first_hits(
-        self, origins: np.ndarray, directions: np.ndarray
-    ) -> Mapping[str, np.ndarray]:
+        self, origins: ndarray, directions: ndarray
+    ) -> Mapping[str, ndarray]:
         """primID (-1 = none), u, v, tfar of rays (n, 3)."""
-        found: Mapping[str, np.ndarray] = self._asked(
+        found: Mapping[str, ndarray] = self._asked(
             origins, directions, query="INTERSECT", output=True
         )
         return found
 
-    def blocked(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    def blocked(self, origins: ndarray, directions: ndarray) -> ndarray:
         """(n,) bool: whether rays (n, 3) meet anything."""
         return np.asarray(self._asked(origins, directions, query="OCCLUDED")) >= 0
 
-    def _asked(self, *rays: np.ndarray, **query: Any) -> Any:
+    def _asked(self, *rays: ndarray, **query: Any) -> Any:
         parts = (np.ascontiguousarray(a, np.float32) for a in rays)
         return self._scene.run(*parts, **query)
 
     def visible_fraction(
         self,
-        points: np.ndarray,
-        directions: np.ndarray,
-        normals: np.ndarray | None = None,
+        points: ndarray,
+        directions: ndarray,
+        normals: ndarray | None = None,
         first: int = 1,
-    ) -> np.ndarray:
+    ) -> ndarray:
         """(n,) float64, 0..1: of `directions` (k, 3), unit, those in which nothing is met
         from each point (n, 3).
 
@@ -74,7 +75,7 @@ class Triangles:
 
         k = len(directions)
 
-        def one(part: slice) -> np.ndarray:
+        def one(part: slice) -> ndarray:
             starts = np.repeat(points[part], k, 0)
             along = np.tile(directions, (len(starts) // k, 1))
             seen = ~self.blocked(starts, along).reshape(-1, k)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.camera import Camera
 from arfx.core.rect import Rect
@@ -13,7 +14,7 @@ from arfx.core.rect import Rect
 GRID_PX = 8  # pitch of the table: error below 1e-3 px for usual lenses
 
 
-def direction_grid(camera: Camera, pixel: int = 1) -> np.ndarray:
+def direction_grid(camera: Camera, pixel: int = 1) -> ndarray:
     """(gh, gw, 3) float64 viewing directions, z = 1, at every GRID_PX-th pixel, one step
     beyond the picture.
 
@@ -25,7 +26,7 @@ def direction_grid(camera: Camera, pixel: int = 1) -> np.ndarray:
     return camera.directions(np.stack(np.meshgrid(x, y), -1))
 
 
-def seen_rect(camera: Camera, points: np.ndarray, pad_px: float) -> Rect:
+def seen_rect(camera: Camera, points: ndarray, pad_px: float) -> Rect:
     """Pixels that hold points (n, 3), CAMERA axes, and around them; the whole frame where
     some are not before the camera.
     """
@@ -33,7 +34,7 @@ def seen_rect(camera: Camera, points: np.ndarray, pad_px: float) -> Rect:
     return Rect.around(seen, pad_px) if np.isfinite(seen).all() else camera.rect
 
 
-def between_nodes(nodes: np.ndarray, rect: Rect) -> np.ndarray:
+def between_nodes(nodes: ndarray, rect: Rect) -> ndarray:
     """(h, w, ...) float32 of the pixels of `rect`, linear between nodes (gh, gw, ...) float32 at
     every GRID_PX-th pixel, up to 4 channels. The same for a pixel whatever the rectangle."""
     step = 1 / GRID_PX

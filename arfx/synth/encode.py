@@ -13,6 +13,7 @@ from typing import Any
 import av
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.colour import yuv_from_rgb
 from arfx.media.codecs import create_container
@@ -48,7 +49,7 @@ class VideoFile:
         stream.time_base = stream.codec_context.time_base = Fraction(1, CLOCK_HZ)
         self._stream = stream
 
-    def put(self, samples: np.ndarray, time_s: float) -> None:
+    def put(self, samples: ndarray, time_s: float) -> None:
         """samples : as `av.VideoFrame.from_ndarray` takes them;  time_s : as it is to be shown"""
         frame = av.VideoFrame.from_ndarray(samples, format=self._stream.pix_fmt)
         if self._stream.pix_fmt.startswith("yuv"):
@@ -94,7 +95,7 @@ class ClipFile(VideoFile):
             sound = "flac" if lossless else "aac"
             self._tone = self._out.add_stream(sound, rate=48_000)
 
-    def write(self, coded: np.ndarray, time_s: float) -> None:
+    def write(self, coded: ndarray, time_s: float) -> None:
         """coded (h, w, 3) float R'G'B' 0..1, upright;  time_s from the clip's first frame."""
         turned = np.rot90(coded, -self._scene.clip.rotation_deg // 90)
         matrix = yuv_from_rgb("bt709").astype(np.float32)
@@ -134,7 +135,7 @@ def _tag(what: Any) -> None:
     what.color_trc = 13
 
 
-def measured_steps(scene: SceneFile, depth_m: np.ndarray, frame: int) -> np.ndarray:
+def measured_steps(scene: SceneFile, depth_m: ndarray, frame: int) -> ndarray:
     """(h, w) uint16, in DEPTH_UNIT_M, 0 = not measured.
     depth_m : (h, w) true metres, 0 = nothing;  frame : gives, with the scene's seed, the noise
     """

@@ -9,6 +9,7 @@ from functools import cache, lru_cache, partial
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.colour import Transfer
 from arfx.core.parallel import parallel_map
@@ -20,7 +21,7 @@ from arfx.synth.world import World
 # a rolling shutter moves the scene once per band: under 2 px of motion in hand-held footage
 _BAND_ROWS = 24
 _KEEP_BYTES = 400_000_000  # rays kept from frame to frame
-Arrays = tuple[np.ndarray, np.ndarray]
+Arrays = tuple[ndarray, ndarray]
 
 
 class Picture:
@@ -47,7 +48,7 @@ class Picture:
             lambda dx, dy: world.camera.normalised(np.add(centres, (dx, dy)))
         )
 
-    def radiance(self, frame: int) -> np.ndarray:
+    def radiance(self, frame: int) -> ndarray:
         """(h, w, 3) float64 linear radiance of a frame, before exposure.
         Where neither a surface nor a shadow ends and nothing moves or blurs, one sample of
         a whole pixel stands for all."""
@@ -78,7 +79,7 @@ class Picture:
         frame: int,
         late_s: float,
         place: tuple[float, float],
-        chosen: np.ndarray,
+        chosen: ndarray,
         footprint: float,
         seed: int,
     ) -> Arrays:
@@ -97,7 +98,7 @@ class Picture:
         spans = footprint * np.nan_to_num(np.stack([right, down], 2))
         lens = self.world.scene.lens
 
-        def one(part: np.ndarray) -> Arrays:
+        def one(part: ndarray) -> Arrays:
             at = tuple(part.T)
             first = part[0, 0] // _BAND_ROWS * _BAND_ROWS
             middle = (first + min(first + _BAND_ROWS, rows)) / 2
@@ -134,7 +135,7 @@ class Picture:
         """
         return surfaces(self.rays(0.0, 0.0), *self._seen(frame))
 
-    def flow(self, frame: int, depth: np.ndarray, owner: np.ndarray) -> np.ndarray:
+    def flow(self, frame: int, depth: ndarray, owner: ndarray) -> ndarray:
         """(h, w, 2) float64 motion of each pixel's surface point to the next frame, px.
         NaN where there is nothing, at the last frame, across a cut, and where the point
         leaves the lens's field."""
@@ -155,12 +156,12 @@ class Picture:
         return out
 
 
-def _pixels(shape: tuple[int, ...]) -> np.ndarray:
+def _pixels(shape: tuple[int, ...]) -> ndarray:
     """(h, w, 2) x and y of every pixel's centre."""
     return np.dstack([*np.indices(shape, float)[::-1]])
 
 
-def _noise(seed: int, numbers: np.ndarray) -> np.ndarray:
+def _noise(seed: int, numbers: ndarray) -> ndarray:
     """0..1 from a seed and integers (n,): the finaliser of MurmurHash3."""
     h = numbers.astype(np.uint64) * np.uint64(0xC2B2AE3D27D4EB4F)
     h ^= np.uint64(seed * 0x9E3779B97F4A7C15 % 2**64)
@@ -177,9 +178,7 @@ def gain_at(scene: SceneFile, time_s: float) -> float:
     return float(scene.exposure.gain * 2.0**stops)
 
 
-def expose(
-    scene: SceneFile, radiance: np.ndarray, frame: int, time_s: float
-) -> np.ndarray:
+def expose(scene: SceneFile, radiance: ndarray, frame: int, time_s: float) -> ndarray:
     """Coded colours (h, w, 3) float32 in 0..1 of a frame's radiance (h, w, 3).
     Sensor value = gain * radiance + bias + noise, clipped; noise has variance read² + shot
     * value, as read after the gain, correlated over a Gaussian of the stated sigma without
@@ -201,7 +200,7 @@ def expose(
 
 def unit_noise(
     rng: np.random.Generator, shape: tuple[int, ...], correlation_px: float
-) -> np.ndarray:
+) -> ndarray:
     """Normal noise of variance 1, white or with a Gaussian spatial correlation."""
     white = rng.standard_normal(shape, np.float32)
     if correlation_px <= 0:

@@ -22,6 +22,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.compiled import line_kernel
 from arfx.core.numerics import normalise
@@ -48,23 +49,23 @@ class Rays(NamedTuple):
     right and down, as differences of `towards`;  turns (n,): of the samples of a lamp's disc
     """
 
-    starts: np.ndarray
-    towards: np.ndarray
-    spans: np.ndarray
-    turns: np.ndarray
+    starts: ndarray
+    towards: ndarray
+    spans: ndarray
+    turns: ndarray
 
 
 class Room(NamedTuple):
     """What there is, by rows, and its ambient light (3,);  table (n, 3): of the textures
     sky (h, w, 3): radiance by direction, (0, ...) = black"""
 
-    rects: np.ndarray
-    spheres: np.ndarray
-    lights: np.ndarray
-    ambient: np.ndarray
-    textures: np.ndarray
-    table: np.ndarray
-    sky: np.ndarray
+    rects: ndarray
+    spheres: ndarray
+    lights: ndarray
+    ambient: ndarray
+    textures: ndarray
+    table: ndarray
+    sky: ndarray
 
 
 @line_kernel(error_model="numpy")
@@ -226,7 +227,7 @@ def shade(rays: Rays, room: Room, radiance, numbers):
         numbers[n] = 2 + number % _NUMBERS if whole else 0
 
 
-def radiance(rays: Rays, room: Room) -> tuple[np.ndarray, np.ndarray]:
+def radiance(rays: Rays, room: Room) -> tuple[ndarray, ndarray]:
     """(n, 3) what comes along rays; (n,) uint16 a number for the surface and the lights that it
     sees: 1 where nothing is met, as by a ray that is NaN, 0 where a part of a light is seen,
     and on a print."""
@@ -245,9 +246,7 @@ def radiance(rays: Rays, room: Room) -> tuple[np.ndarray, np.ndarray]:
     return light, numbers
 
 
-def surfaces(
-    rays: np.ndarray, room: Room, pose: Pose
-) -> tuple[np.ndarray, np.ndarray]:
+def surfaces(rays: ndarray, room: Room, pose: Pose) -> tuple[ndarray, ndarray]:
     """(depth (h, w) along the axis, object number (h, w) uint8) of the first surface along
     rays (h, w, 2), camera directions; 0 = nothing. pose : room_from_camera
     """

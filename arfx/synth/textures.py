@@ -13,6 +13,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy import ndarray
 from numpy.random import Generator
 
 from arfx.core.colour import SRGB
@@ -31,7 +32,7 @@ def texture_albedo(
     size_m: tuple[float, float],
     seed: int,
     folder: Path | None = None,
-) -> np.ndarray:
+) -> ndarray:
     """(rows, columns, 3) float32 linear albedo 0..1 that covers size_m = (width, height),
     metres; row 0 is y's upper end. Raises InputError if a picture file cannot be read."""
     if texture.kind == "plain":
@@ -71,7 +72,7 @@ def texture_albedo(
     return np.clip(mix, 0.01, 0.95).astype(np.float32)
 
 
-def _smooth(rng: Generator, shape: Shape, *cells: float) -> np.ndarray:
+def _smooth(rng: Generator, shape: Shape, *cells: float) -> ndarray:
     """Value noise 0..1 with features of that many texels down and across, at least one."""
     size = [int(n / max(cell, 1)) + 2 for n, cell in zip(shape, cells, strict=True)]
     grid = rng.random(size, np.float32)
@@ -84,7 +85,7 @@ def _octaves(
     cell_y: float,
     cell_x: float,
     count: int = 4,
-) -> np.ndarray:
+) -> ndarray:
     total = np.zeros(shape, np.float32)
     for k in range(count):
         total += _smooth(rng, shape, cell_y / 2**k, cell_x / 2**k) * 0.6**k
@@ -92,7 +93,7 @@ def _octaves(
     return np.clip(0.5 + 0.25 * spread, 0, 1)
 
 
-def _wood(rng: Generator, shape: Shape, cell: float) -> np.ndarray:
+def _wood(rng: Generator, shape: Shape, cell: float) -> ndarray:
     """Boards along x: grain stretched along the board, another tone and shift for each,
     dark joints.
     """
@@ -113,7 +114,7 @@ def _wood(rng: Generator, shape: Shape, cell: float) -> np.ndarray:
     return np.clip(grain, 0, 1)
 
 
-def _posters(rng: Generator, shape: Shape, cell: float) -> np.ndarray:
+def _posters(rng: Generator, shape: Shape, cell: float) -> ndarray:
     """A wall with coloured posters of rectangles, discs and lines: strong corners for flow."""
     h, w = shape
     base = 0.55 + 0.12 * (_octaves(rng, shape, cell, cell, 3) - 0.5)
@@ -140,7 +141,7 @@ def _posters(rng: Generator, shape: Shape, cell: float) -> np.ndarray:
 
 def sheet_albedo(
     marker: Marker, right_ink: float | None = None
-) -> tuple[np.ndarray, float]:
+) -> tuple[ndarray, float]:
     """Albedo picture of the whole sheet and the sheet's side in metres.
     The margin is made exact by cutting every cell into a whole number of texels. right_ink
     : ink albedo at the right edge, growing linearly from the marker's at the left (worn
@@ -159,7 +160,7 @@ def sheet_albedo(
     return np.where(white, marker.paper, ink)[..., None], side_m
 
 
-def environment_picture(source: str | Path, folder: Path | None = None) -> np.ndarray:
+def environment_picture(source: str | Path, folder: Path | None = None) -> ndarray:
     """(h, 2h, 3) float64 linear radiance. `source`: "studio", "sunset" or an .hdr file
     beside the scene. Raises InputError if the file cannot be read or holds values that are
     not finite and >= 0."""
@@ -182,7 +183,7 @@ def environment_picture(source: str | Path, folder: Path | None = None) -> np.nd
     return cv2.resize(rgb, (256, 128), interpolation=cv2.INTER_AREA)
 
 
-def _directions(h: int, w: int) -> tuple[np.ndarray, np.ndarray]:
+def _directions(h: int, w: int) -> tuple[ndarray, ndarray]:
     """Unit vectors (h, w, 3) of a panorama's pixels, and the solid angles (h, w) of these."""
     elevation = np.pi * (0.5 - (np.arange(h) + 0.5) / h)
     azimuth = 2 * np.pi * (0.5 - (np.arange(w) + 0.5) / w)
@@ -190,7 +191,7 @@ def _directions(h: int, w: int) -> tuple[np.ndarray, np.ndarray]:
     return direction_of(a, e), np.cos(e) * (np.pi / h) * (2 * np.pi / w)
 
 
-def environment_lights(picture: np.ndarray, count: int) -> np.ndarray:
+def environment_lights(picture: ndarray, count: int) -> ndarray:
     """(count, 7) tracer lights that together light a surface as the panorama does.
     A region's radiance times its solid angle / pi is the rgb of its light (arfx.core.light
     folds pi in)."""

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.codec import Document, Gaps
 from arfx.core.opener import read_text
@@ -39,7 +40,7 @@ class MarkerTruth(Document):
     """
 
     camera_from_marker: Pose
-    corners_px: Annotated[np.ndarray, Gaps]
+    corners_px: Annotated[ndarray, Gaps]
     visible: float
     side_px: Annotated[float, Gaps]
     facing: float
@@ -99,13 +100,13 @@ def read_truth(path: Path) -> Truth:
         ) from None
 
 
-def write_depth(path: Path, depth_m: np.ndarray) -> None:
+def write_depth(path: Path, depth_m: ndarray) -> None:
     """Farther than 13.1 m counts as nothing."""
     steps = np.rint(depth_m / DEPTH_UNIT_M)
     write_png(path, np.where(steps <= 65535, steps, 0).astype(np.uint16))
 
 
-def write_flow(path: Path, flow_px: np.ndarray) -> None:
+def write_flow(path: Path, flow_px: ndarray) -> None:
     """(h, w, 2) px, NaN = unknown; beyond ±511 px counts as unknown."""
     steps = (
         np.rint(np.nan_to_num(flow_px, nan=1e9) / FLOW_UNIT_PX) + 2**15

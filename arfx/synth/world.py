@@ -10,6 +10,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy import ndarray
 from scipy.interpolate import CubicHermiteSpline
 
 from arfx.core.camera import Camera
@@ -65,7 +66,7 @@ class World:
     def duration_s(self) -> float:
         return float(self.frame_times_s[-1])
 
-    def lights_at(self, time_s: float) -> np.ndarray:
+    def lights_at(self, time_s: float) -> ndarray:
         """(n, 7) tracer lights at a time."""
         if self.scene.light.environment:
             return self.room.lights
@@ -99,7 +100,7 @@ class World:
         turns = np.array([p.rotation for p in poses]).reshape(-1, 3, 3)
         shifts = np.array([p.translation_m for p in poses]).reshape(-1, 3)
 
-        def moved(rows: np.ndarray, vectors: int, number: int) -> np.ndarray:
+        def moved(rows: ndarray, vectors: int, number: int) -> ndarray:
             """Rows in the room. vectors : the first is a place, the others directions"""
             rows, owner = rows.copy(), rows[:, number].astype(int) - 1
             own = rows[:, : 3 * vectors].reshape(-1, vectors, 3)  # of the copy
@@ -194,14 +195,14 @@ def _room(scene: SceneFile, folder: Path | None) -> Room:
     )
 
 
-def marker_points(marker: Marker) -> np.ndarray:
+def marker_points(marker: Marker) -> ndarray:
     """(144, 3) points spread evenly over the marker's black square, marker axes, metres."""
     grid = ((np.arange(12) + 0.5) / 12 - 0.5) * marker.spec.size_m
     x, y = np.meshgrid(grid, grid)
     return np.stack([x, y, 0 * x], -1).reshape(-1, 3)
 
 
-def smooth_noise(seed: int, name: str, time_s: float, rate_hz: float) -> np.ndarray:
+def smooth_noise(seed: int, name: str, time_s: float, rate_hz: float) -> ndarray:
     """(6,) band-limited noise with unit rms over time: six sinusoids around
     `rate_hz`, phases from the seed.
     """
@@ -212,7 +213,7 @@ def smooth_noise(seed: int, name: str, time_s: float, rate_hz: float) -> np.ndar
     ) / np.sqrt(3.0)
 
 
-def look_at(position_m: np.ndarray, target_m: np.ndarray) -> Pose:
+def look_at(position_m: ndarray, target_m: ndarray) -> Pose:
     """camera_from_room of a camera that looks from one point at another, the room's z up in
     its picture. Straight up or down, the room's y is up instead."""
     forward = normalise(np.asarray(target_m, float) - position_m)
@@ -252,7 +253,7 @@ def _share(time_s: float, duration_s: float) -> float:
     return float(np.clip(divide(time_s, duration_s), 0.0, 1.0))
 
 
-def _trembling(noise: np.ndarray, turn_deg: float, travel_m: float) -> Pose:
+def _trembling(noise: ndarray, turn_deg: float, travel_m: float) -> Pose:
     """A small motion from unit noise (6,): a turn, then a shift."""
     return Pose.from_rotvec(np.radians(turn_deg) * noise[:3], travel_m * noise[3:])
 
@@ -299,7 +300,7 @@ def room_from_object(
     )
 
 
-def _between(keys: tuple[Key, ...], name: str, time_s: float) -> np.ndarray:
+def _between(keys: tuple[Key, ...], name: str, time_s: float) -> ndarray:
     """Catmull-Rom through the keys' values, at rest in the first and the last, constant
     beyond them.
     """

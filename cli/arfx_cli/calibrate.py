@@ -26,7 +26,7 @@ from arfx_cli.console import (
 )
 
 if TYPE_CHECKING:
-    import numpy as np
+    from numpy import ndarray
 
     from arfx.calibrate.board import BoardSpec
     from arfx.calibrate.calibration import Picture
@@ -263,7 +263,7 @@ def _pictures(paths: list[Path]) -> Iterator[Picture]:
             yield Picture(name, e)
 
 
-def _video(path: Path, name: str) -> Iterator[tuple[str, np.ndarray]]:
+def _video(path: Path, name: str) -> Iterator[tuple[str, ndarray]]:
     import numpy as np
 
     from arfx.calibrate.screen import sharpest_of_each

@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.depth.planes import facing_up, scene_planes
 from arfx.analyse.job import PLANE, PLANE_MARKER, Analysis, AnalysisJob
@@ -104,7 +105,7 @@ def with_real_planes(clip: Analysis, job: AnalysisJob) -> Analysis:
     maps = job.depth
     if maps is None or not clip.summary["depth"]["known"]:
         return clip
-    camera, sparse = job.camera, list[tuple[np.ndarray, Pose]]()
+    camera, sparse = job.camera, list[tuple[ndarray, Pose]]()
     known = [(f.real_depth, f.camera_from_world) for f in clip.facts]
     for depth, pose in spread([pair for pair in known if None not in pair]):
         if maps.still and sparse and pose == sparse[0][1]:

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.camera import Camera
 from arfx.core.numerics import divide, normalise
@@ -54,16 +55,16 @@ class Cloud(NamedTuple):
     grid (rows, columns) : number of the point, -1 = not measured
     patches (k, 3) : planes of flat parts of the picture, as `plane @ ray` = 1 / depth"""
 
-    points: np.ndarray
-    rays: np.ndarray
-    noise_m: np.ndarray
-    spacing_m: np.ndarray
-    cut: np.ndarray
-    grid: np.ndarray
-    patches: np.ndarray
+    points: ndarray
+    rays: ndarray
+    noise_m: ndarray
+    spacing_m: ndarray
+    cut: ndarray
+    grid: ndarray
+    patches: ndarray
 
 
-def cloud_of(depth_m: np.ndarray, camera: Camera) -> Cloud | None:
+def cloud_of(depth_m: ndarray, camera: Camera) -> Cloud | None:
     """depth_m : (h, w) along the optical axis, not finite or <= 0 = not measured.
 
     None where too little is."""
@@ -93,7 +94,7 @@ def cloud_of(depth_m: np.ndarray, camera: Camera) -> Cloud | None:
     )
 
 
-def _patches(rays: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, float]:
+def _patches(rays: ndarray, near: ndarray) -> tuple[ndarray, float]:
     """Planes (k, 3) through flat squares of the picture, and the standard deviation of 1 /
     depth. rays (rows, columns, 3), near (rows, columns) : 1 / depth;  0 = not measured"""
     whole = np.dstack([rays, near])
@@ -122,9 +123,9 @@ class FoundPlane(NamedTuple):
     indices into the cloud
     """
 
-    normal: np.ndarray
+    normal: ndarray
     offset_m: float
-    inliers: np.ndarray
+    inliers: ndarray
 
 
 def find_planes(cloud: Cloud) -> list[FoundPlane]:
@@ -154,7 +155,7 @@ def find_planes(cloud: Cloud) -> list[FoundPlane]:
     return sorted(out, key=lambda p: -len(p.inliers))
 
 
-def _connected(grid: np.ndarray, there: np.ndarray) -> np.ndarray:
+def _connected(grid: ndarray, there: ndarray) -> ndarray:
     """Of those points (n,) the largest part that hangs together in the picture, and those
     parts that are not much smaller."""
     mask = (grid >= 0) & there[grid]
@@ -170,11 +171,11 @@ class Seen(NamedTuple):
     of what any place is"""
 
     area_m2: float
-    extent_m: np.ndarray
-    middle_m: np.ndarray
+    extent_m: ndarray
+    middle_m: ndarray
 
 
-def seen_of(positions_m: np.ndarray, spacing_m: np.ndarray) -> Seen:
+def seen_of(positions_m: ndarray, spacing_m: ndarray) -> Seen:
     """positions_m (n, 2) : points moved onto the plane, its axes;  spacing_m (n,) :
     distance of neighbouring points there
     """
@@ -212,11 +213,11 @@ class ScenePlane(NamedTuple):
     world, for its
     x axis;  noise_m : of the points"""
 
-    normal: np.ndarray
-    points: np.ndarray
-    spacing_m: np.ndarray
-    cut: np.ndarray
-    right: np.ndarray
+    normal: ndarray
+    points: ndarray
+    spacing_m: ndarray
+    cut: ndarray
+    right: ndarray
     noise_m: float
     frames: int
 
@@ -249,7 +250,7 @@ class ScenePlane(NamedTuple):
 
 
 def scene_planes(
-    maps: Sequence[tuple[np.ndarray, Pose]], camera: Camera
+    maps: Sequence[tuple[ndarray, Pose]], camera: Camera
 ) -> list[ScenePlane]:
     """maps : (depth (h, w) metres, 0 = unknown; camera_from_world) of some frames. Those
     seen most first.

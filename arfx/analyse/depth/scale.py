@@ -12,6 +12,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.job import Analysis, AnalysisJob
 from arfx.core.camera import Camera
@@ -78,11 +79,11 @@ def depth_checks(summary: Mapping[str, Any]) -> Iterator[Check]:
 
 
 def print_ratios(
-    depth_m: np.ndarray,
+    depth_m: ndarray,
     facts: FrameFacts,
     world_from_marker: Mapping[str, Pose],
     camera: Camera,
-) -> np.ndarray:
+) -> ndarray:
     """(n,) known over measured distance of the pixels on the prints that the frame shows; n
     = 0 where none is usable.
 
@@ -113,7 +114,7 @@ def print_ratios(
     return np.concatenate(out)
 
 
-def depth_scale(ratios: Sequence[np.ndarray]) -> DepthScale:
+def depth_scale(ratios: Sequence[ndarray]) -> DepthScale:
     """From the `print_ratios` of every frame that has a map."""
     telling = [r for r in ratios if len(r) >= FEWEST_PX]
     wanted = min(FEWEST_FRAMES, max(len(ratios), 1))
@@ -166,7 +167,7 @@ def with_depth(
     facts, camera = clip.facts, job.camera
     size = camera.width, camera.height
 
-    def read(number: int) -> tuple[str, np.ndarray | None, float, list[np.ndarray]]:
+    def read(number: int) -> tuple[str, ndarray | None, float, list[ndarray]]:
         """Of one map its digest, `tile_ranges` before scaling (None = nothing was
         measured), share of holes, `print_ratios`.
         """

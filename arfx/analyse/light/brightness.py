@@ -15,6 +15,7 @@ Cost: some 10 us a reading."""
 from __future__ import annotations
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.numerics import divide
 
@@ -42,13 +43,13 @@ _PASSES = 30  # of alternating means: few prints that are seen in turn take that
 
 
 def brightness(
-    times_s: np.ndarray,
-    frame: np.ndarray,
-    print_: np.ndarray,
-    level: np.ndarray,
-    variance: np.ndarray,
-    stood_on: np.ndarray,
-) -> np.ndarray:
+    times_s: ndarray,
+    frame: ndarray,
+    print_: ndarray,
+    level: ndarray,
+    variance: ndarray,
+    stood_on: ndarray,
+) -> ndarray:
     """(t, 3) logarithm of every frame's brightness.
 
     times_s : (t,) of all frames;  frame : (k,) int of each reading;  print_ : (k,) int from 0
@@ -67,8 +68,8 @@ def brightness(
 
 
 def common_level(
-    frame: np.ndarray, print_: np.ndarray, level: np.ndarray, variance: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    frame: ndarray, print_: ndarray, level: ndarray, variance: ndarray
+) -> tuple[ndarray, ndarray]:
     """((frames that have readings, 3), (prints, 3)): level = the frame's + the print's, whose
     mean over the readings is 0. Robust: most of a frame's prints decide.
     Arguments as of `brightness`.
@@ -89,7 +90,7 @@ def common_level(
     return common, offsets
 
 
-def steps(times_s: np.ndarray, level: np.ndarray) -> np.ndarray:
+def steps(times_s: ndarray, level: ndarray) -> ndarray:
     """(s,) times between readings at which luma jumps: by far more than noise, and by as much
     as all that lies before and after differs. So neither a ramp is one, nor a frame that
     disagrees.
@@ -104,11 +105,11 @@ def steps(times_s: np.ndarray, level: np.ndarray) -> np.ndarray:
 
 
 def _smoothed(
-    times_s: np.ndarray,
-    seen: np.ndarray,
-    level: np.ndarray,
-    variance: np.ndarray,
-) -> np.ndarray:
+    times_s: ndarray,
+    seen: ndarray,
+    level: ndarray,
+    variance: ndarray,
+) -> ndarray:
     """(t, 3) levels of all frames out of those of `seen` (n,): level (n, 3), variance (n,)."""
     usual = float(np.median(variance))
     size = np.clip(variance / usual, 0.25, 1e4)[:, None]
@@ -124,12 +125,12 @@ def _smoothed(
 
 
 def _followed(
-    value: np.ndarray,
-    size: np.ndarray,
+    value: ndarray,
+    size: ndarray,
     least: float,
-    walk: np.ndarray,
+    walk: ndarray,
     sure: tuple[float, ...],
-) -> np.ndarray:
+) -> ndarray:
     """(n, c) of value (n, c), seen with noise of relative variance `size` (n, 1), whose
     deviation is `least` at least: a random walk that moves where something clearly changes.
 
@@ -147,7 +148,7 @@ def _followed(
     return out
 
 
-def _solve(value: np.ndarray, noise: np.ndarray, walk: np.ndarray) -> np.ndarray:
+def _solve(value: ndarray, noise: ndarray, walk: ndarray) -> ndarray:
     """(n, c) random walk seen with noise, from all of past and future.
 
     value, noise : (n, c), its variance;  walk : (n - 1,) deviation of each step
@@ -165,7 +166,7 @@ def _solve(value: np.ndarray, noise: np.ndarray, walk: np.ndarray) -> np.ndarray
     return out
 
 
-def _difference(value: np.ndarray, scale: int) -> np.ndarray:
+def _difference(value: ndarray, scale: int) -> ndarray:
     """(n, c) median of `scale` values from there on, less that of as many before; nearer to
     the ends that of the first, and of the last, that has as many.
     """
@@ -177,7 +178,7 @@ def _difference(value: np.ndarray, scale: int) -> np.ndarray:
     return out
 
 
-def _noise(value: np.ndarray) -> np.ndarray:
+def _noise(value: ndarray) -> ndarray:
     """(n, c) deviation of white noise in successive values (n, c), over the readings around."""
     if len(value) < 4:
         return np.ones_like(value)
@@ -189,15 +190,13 @@ def _noise(value: np.ndarray) -> np.ndarray:
     return 1.4826 * np.maximum(_medians(padded, NOISE_OVER), np.median(bent, 0))
 
 
-def _medians(value: np.ndarray, count: int) -> np.ndarray:
+def _medians(value: ndarray, count: int) -> ndarray:
     """(n - count + 1, c) of each `count` successive values (n, c)."""
     windows = np.lib.stride_tricks.sliding_window_view(value, count, axis=0)
     return np.asarray(np.median(windows, -1))
 
 
-def group_means(
-    group: np.ndarray, value: np.ndarray, weight: np.ndarray
-) -> np.ndarray:
+def group_means(group: ndarray, value: ndarray, weight: ndarray) -> ndarray:
     """(groups, c) weighted means of value (k, c). group : (k,) int, all from 0 on"""
     total = np.bincount(group, weight)
     columns = [np.bincount(group, weight * column) / total for column in value.T]

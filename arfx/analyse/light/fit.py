@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.light.hypotheses import (
     LEAST_LIGHT,
@@ -58,8 +59,8 @@ class FittedLight:
         wide as lamps in its place may be spread, up to 30
     verdict : of its direction"""
 
-    direction: np.ndarray
-    rgb: np.ndarray
+    direction: ndarray
+    rgb: ndarray
     confidence_deg: float
     angular_size_deg: float = DEFAULT_SIZE_DEG
     verdict: str = MEASURED
@@ -71,7 +72,7 @@ class FittedLight:
         """
         return self.angular_size_deg >= 180
 
-    def irradiance(self, normals: np.ndarray, group: int = 0) -> np.ndarray:
+    def irradiance(self, normals: ndarray, group: int = 0) -> ndarray:
         """(..., 3) at unit normals (..., 3)."""
         c = (normals @ self.direction)[..., None]
         shade = (c + 1) ** 2 / 4 if self.dome else np.clip(c, 0, None)
@@ -96,15 +97,15 @@ class LightFit:
 
     verdict: str
     reason: str
-    ambient_rgb: np.ndarray
-    seen_rgb: np.ndarray
+    ambient_rgb: ndarray
+    seen_rgb: ndarray
     lights: tuple[FittedLight, ...] = ()
     model_error: float = 0.0
     gamma: float = 1.0
     span_deg: float = 0.0
-    explained: np.ndarray | None = None
+    explained: ndarray | None = None
 
-    def irradiance(self, normals: np.ndarray, group: int = 0) -> np.ndarray:
+    def irradiance(self, normals: ndarray, group: int = 0) -> ndarray:
         """(..., 3) at unit normals (..., 3): ambient light and `lights`."""
         parts = [li.irradiance(normals, group) for li in self.lights]
         return np.broadcast_to(self.ambient_rgb[group], normals.shape) + sum(parts)
@@ -150,17 +151,17 @@ class LightFit:
         return Light.of_soft(np.linalg.pinv(harmonics(n)) @ shown, lamps, "marker")
 
 
-def span_deg(normals: np.ndarray) -> float:
+def span_deg(normals: ndarray) -> float:
     """Widest angle between unit normals (k, 3)."""
     few = normals[:: len(normals) // _HELD + 1]
     return float(np.degrees(arccos((few @ few.T).min(initial=1.0))))
 
 
 def fit(
-    normals: np.ndarray,
-    irradiance: np.ndarray,
-    variance: np.ndarray | float = 0.0,
-    group: np.ndarray | int = 0,
+    normals: ndarray,
+    irradiance: ndarray,
+    variance: ndarray | float = 0.0,
+    group: ndarray | int = 0,
     params: Params = Params(),  # noqa: B008 - frozen
 ) -> LightFit:
     """normals : (k, 3) in the frame that the lights are fixed in;  irradiance : (k, 3);

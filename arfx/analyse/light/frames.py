@@ -14,6 +14,7 @@ from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.job import Analysis
 from arfx.analyse.light import patches
@@ -47,12 +48,12 @@ LEAST_FACING = 0.15
 
 
 def solve_patches(
-    intensity: np.ndarray,
-    variance: np.ndarray,
-    clipped: np.ndarray,
-    albedo: np.ndarray,
-    most_bias: np.ndarray | None,
-    print_: np.ndarray,
+    intensity: ndarray,
+    variance: ndarray,
+    clipped: ndarray,
+    albedo: ndarray,
+    most_bias: ndarray | None,
+    print_: ndarray,
 ) -> Photometry:
     """Bias and light out of patches.
 
@@ -77,10 +78,10 @@ def with_light(
     patch_readings: Sequence[Reading],
     samples: Sequence[EnvironmentSample],
     params: LightParams,
-    panorama: np.ndarray | None = None,
+    panorama: ndarray | None = None,
     solve: Callable[..., Photometry] = solve_patches,
     static_frame_light: Callable[..., StaticFrameLight] = StaticFrameLight,
-    place_m: Callable[[], np.ndarray] = lambda: np.zeros(2),
+    place_m: Callable[[], ndarray] = lambda: np.zeros(2),
 ) -> Analysis:
     """The analysis with `light` and `bias_rgb` in every frame that has a pose, and what was
     found in summary["light"].
@@ -173,7 +174,7 @@ def with_light(
 
 
 def _given(
-    params: LightParams, panorama: np.ndarray | None
+    params: LightParams, panorama: ndarray | None
 ) -> tuple[Light, bool, str] | None:
     """(the user's light, anchor axes; whether its brightness is stated; why), None = none."""
     if panorama is not None:
@@ -203,7 +204,7 @@ def _notice(report: Mapping[str, Any]) -> str | None:
     return None
 
 
-def _certain_bias(photometry: Photometry) -> np.ndarray:
+def _certain_bias(photometry: Photometry) -> ndarray:
     """(3,) bias of the channels that have one for certain, else 0: what may be none is not
     added to what is drawn.
 
@@ -217,8 +218,8 @@ def _certain_bias(photometry: Photometry) -> np.ndarray:
 def _usable(
     analysis: Analysis,
     patch_readings: Sequence[Reading],
-    static_from_world: Mapping[int, np.ndarray],
-    place: np.ndarray,
+    static_from_world: Mapping[int, ndarray],
+    place: ndarray,
 ) -> tuple[Readings, list[patches.Patches]]:
     """(readings without light, their cells) of prints that face the camera in frames whose
     pose was measured.

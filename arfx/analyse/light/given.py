@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.light.surroundings import OUTSTANDING, from_panorama, soft_of
 from arfx.core.light import DirectionalLight, Light, triple
@@ -27,7 +28,7 @@ def light_from_direction(given: tuple[float, ...], size_deg: float) -> Light:
     return Light((AMBIENT,) * 3, (lamp,), "given")
 
 
-def light_from_panorama(picture: np.ndarray) -> Light:
+def light_from_panorama(picture: ndarray) -> Light:
     """Up to two lamps that stand out, everything else as soft light.
 
     picture : (h, w, 3) linear radiance, finite and >= 0. rgb are those of core.light:

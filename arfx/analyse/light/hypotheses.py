@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.light.model import (
     DOME,
@@ -118,7 +119,7 @@ class Explanations:
             starts = _starts(self.groups)[: 1 + params.most_lights]
         else:
             starts = [lights for lights, _ in start.minima]
-        self.minima: list[tuple[Lights, np.ndarray]] = [
+        self.minima: list[tuple[Lights, ndarray]] = [
             refine(self.groups, lights) for lights in starts
         ]
         self.best: list[Lights] = []
@@ -143,7 +144,7 @@ class Explanations:
             if sound and bic[k] < bic[self.count] - LEAST_EVIDENCE:
                 self.count = k
 
-    def shares(self, lights: Lights) -> tuple[np.ndarray, np.ndarray]:
+    def shares(self, lights: Lights) -> tuple[ndarray, ndarray]:
         """(n, q) share of each light in all that was seen; irradiance of each."""
         size = solve(self.groups, lights).amplitudes.sum(2)  # (n, g, q + 1)
         seen = sum(
@@ -213,7 +214,7 @@ class Explanations:
         cone = max(min(cone, MOST_OFF_DEG), vector_deg + slack)
         return Assessment(LIKELY if likely else REFUSED, cone, doubt)
 
-    def _others(self, light: int) -> Iterator[tuple[str, Lights, np.ndarray]]:
+    def _others(self, light: int) -> Iterator[tuple[str, Lights, ndarray]]:
         """(words, sets of lights, their chi squared) that may explain the data as well."""
         best = self.best[self.count]
         first, size = best.dirs[0, light], best.soft[0, light]
@@ -236,8 +237,8 @@ class Explanations:
                 yield words, *self._in_place(light, [ring, second], [size, DOME])
 
     def _in_place(
-        self, light: int, dirs: Sequence[np.ndarray], soft: Sequence[float]
-    ) -> tuple[Lights, np.ndarray]:
+        self, light: int, dirs: Sequence[ndarray], soft: Sequence[float]
+    ) -> tuple[Lights, ndarray]:
         """dirs (n, 3) and soft of each of what stands in place of one light, the first held,
         all else refined; chi squared (n,)."""
         best = self.best[self.count]
@@ -267,7 +268,7 @@ def _best(groups: Sequence[Group], lights: Lights, count: int) -> Lights:
     return lights[np.argsort(chi2, kind="stable")[:count]]
 
 
-def _around(d: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _around(d: ndarray) -> tuple[ndarray, ndarray, ndarray]:
     """Directions on rings about the unit vector d: (n, 3); unit vectors across d towards each
     (n, 3); sine of their angle from d (n, 1)."""
     first, second = frame_about(d)

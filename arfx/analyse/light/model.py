@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.numerics import divide, normalise
 from arfx.core.sampling import frame_about
@@ -33,11 +34,11 @@ class Group(NamedTuple):
     bend : (3, k) what a logarithm of the exponent of 1 adds to value
     bend_weight : (3,) inverse of (1 / its variance + bend.bend): 0 where the exponent is 1"""
 
-    normals: np.ndarray
-    root: np.ndarray
-    value: np.ndarray
-    bend: np.ndarray
-    bend_weight: np.ndarray
+    normals: ndarray
+    root: ndarray
+    value: ndarray
+    bend: ndarray
+    bend_weight: ndarray
 
     @property
     def total(self) -> float:
@@ -53,17 +54,15 @@ class Lights:
     dirs : (n, q, 3) unit, towards them;  soft : (n, q) sine of their discs' half-angle; DOME
     = ambient light that is brighter from one side, ((n.d + 1) / 2)^2"""
 
-    dirs: np.ndarray
-    soft: np.ndarray
+    dirs: ndarray
+    soft: ndarray
 
     @staticmethod
-    def of(
-        dirs: np.ndarray, soft: np.ndarray | Sequence[float] | float = 0.0
-    ) -> Lights:
+    def of(dirs: ndarray, soft: ndarray | Sequence[float] | float = 0.0) -> Lights:
         """soft : what broadcasts to (n, q)"""
         return Lights(dirs, np.broadcast_to(soft, dirs.shape[:2]))
 
-    def __getitem__(self, rows: np.ndarray | slice) -> Lights:
+    def __getitem__(self, rows: ndarray | slice) -> Lights:
         return Lights(self.dirs[rows], self.soft[rows])
 
     def joined(self, other: Lights, axis: int = 0) -> Lights:
@@ -71,7 +70,7 @@ class Lights:
         dirs = np.concatenate([self.dirs, other.dirs], axis)
         return Lights(dirs, np.concatenate([self.soft, other.soft], axis))
 
-    def columns(self, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def columns(self, normals: ndarray) -> tuple[ndarray, ndarray]:
         """What ambient light and each direction give k normals, (n, q + 1, k), and its
         slope by n.d, (n, q, k)."""
         c, soft = self.dirs @ normals.T, np.maximum(self.soft, _POINT)[..., None]
@@ -86,14 +85,14 @@ class Solution(NamedTuple):
     gradient : (n, p), curvature : (n, p, p), of half of chi squared by the p turns of the
     directions;  across : (n, q, 2, 3) axes of these turns"""
 
-    chi2: np.ndarray
-    amplitudes: np.ndarray
-    gradient: np.ndarray
-    curvature: np.ndarray
-    across: np.ndarray
+    chi2: ndarray
+    amplitudes: ndarray
+    gradient: ndarray
+    curvature: ndarray
+    across: ndarray
 
 
-def non_negative(G: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def non_negative(G: ndarray, h: ndarray) -> tuple[ndarray, ndarray]:
     """Least x.G.x - 2 x.h over x >= 0, and the inverse of G over what is above 0: what is
     farthest below is left out, one after another. G : (..., m, m);  h : (..., m)"""
     m = h.shape[-1]
@@ -141,7 +140,7 @@ def solve(groups: Sequence[Group], lights: Lights, held: int = 0) -> Solution:
 
 def refine(
     groups: Sequence[Group], lights: Lights, held: int = 0, passes: int = 25
-) -> tuple[Lights, np.ndarray]:
+) -> tuple[Lights, ndarray]:
     """Nearest minimum over all directions but the first `held`, and its chi squared (n,).
     Levenberg-Marquardt, all sets at once."""
     dirs, now = lights.dirs, solve(groups, lights, held)

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.light.fit import LightFit, doubted, fit, span_deg
 from arfx.analyse.light.hypotheses import (
@@ -67,13 +68,13 @@ class _Observations:
     """times_s : (k,) ascending;  normals, irradiance, variance : (k, 3);  group : (k,) int"""
 
     params: Params
-    times_s: np.ndarray
-    normals: np.ndarray
-    irradiance: np.ndarray
-    variance: np.ndarray
-    group: np.ndarray
+    times_s: ndarray
+    normals: ndarray
+    irradiance: ndarray
+    variance: ndarray
+    group: ndarray
 
-    def __getitem__(self, rows: slice | np.ndarray) -> _Observations:
+    def __getitem__(self, rows: slice | ndarray) -> _Observations:
         arrays = (
             self.times_s,
             self.normals,
@@ -164,10 +165,10 @@ def _refused(found: LightFit, why: str) -> LightFit:
 
 
 def fit_over_time(
-    times_s: np.ndarray,
-    normals: np.ndarray,
-    irradiance: np.ndarray,
-    variance: np.ndarray,
+    times_s: ndarray,
+    normals: ndarray,
+    irradiance: ndarray,
+    variance: ndarray,
     breaks_s: Sequence[float] = (),
     params: Params = Params(),  # noqa: B008 - frozen
 ) -> tuple[str, list[Span]]:
@@ -260,7 +261,7 @@ def _switched(
 
 
 def window_starts(
-    times_s: np.ndarray, breaks_s: Sequence[float], window_s: float = np.inf
+    times_s: ndarray, breaks_s: Sequence[float], window_s: float = np.inf
 ) -> list[int]:
     """Which observations, times ascending, begin a window: the first after each break, and
     between breaks those of even windows of at most window_s. None is empty: a clip may stand
@@ -278,7 +279,7 @@ def window_starts(
     return starts
 
 
-def _mean_lengths(times: np.ndarray, n: np.ndarray) -> np.ndarray:
+def _mean_lengths(times: ndarray, n: ndarray) -> ndarray:
     """(frames,) length of each frame's mean normal: below 1 where its normals are apart.
 
     times : ascending"""
@@ -321,7 +322,7 @@ def _exposure_drift_fit(seen: _Observations) -> LightFit | None:
     return replace(found, lights=(found.lights[0], *soft)) if holds else None
 
 
-def _factors(frame: np.ndarray, model: np.ndarray, light: np.ndarray) -> np.ndarray:
+def _factors(frame: ndarray, model: ndarray, light: ndarray) -> ndarray:
     """(k,) of each observation's frame, that bring the model (k,) to the light (k,) seen,
     median 1. frame : (k,) int from 0 on, no gaps"""
     g = divide(np.bincount(frame, model * light), np.bincount(frame, model * model))

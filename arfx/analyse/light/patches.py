@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.light.photometry import (
     UNKNOWN_VARIANCE,
@@ -60,12 +61,12 @@ class Patches:
     cells : (n, n) light of the bright ones, NaN = not known, where a shadow lies on a part of
     them; else None"""
 
-    mean: np.ndarray
-    variance: np.ndarray
-    count: np.ndarray
-    clipped: np.ndarray
-    albedo: np.ndarray | None = None
-    cells: np.ndarray | None = None
+    mean: ndarray
+    variance: ndarray
+    count: ndarray
+    clipped: ndarray
+    albedo: ndarray | None = None
+    cells: ndarray | None = None
 
 
 class Meter(NamedTuple):
@@ -76,9 +77,9 @@ class Meter(NamedTuple):
     None = all of a patch is alike
     """
 
-    cells: np.ndarray
-    albedo: np.ndarray | None = None
-    scale: np.ndarray | None = None
+    cells: ndarray
+    albedo: ndarray | None = None
+    scale: ndarray | None = None
 
 
 def marker_meter(spec: MarkerSpec) -> Meter:
@@ -96,7 +97,7 @@ def meter_for(meters: Sequence[Meter], side_px: float, blur_px: float) -> Meter:
 
 
 def pattern_meter(
-    picture: np.ndarray, ink: float, paper: float, soft: float = 0.0
+    picture: ndarray, ink: float, paper: float, soft: float = 0.0
 ) -> Meter:
     """Of a print by its picture (h, w, 3), linear: in every quarter the brightest and the
     darkest cells, even ones first.
@@ -133,8 +134,8 @@ def pattern_meter(
 
 
 def read_print(
-    linear: np.ndarray,
-    quad_px: np.ndarray,
+    linear: ndarray,
+    quad_px: ndarray,
     meter: Meter,
     inverted: bool = False,
     blur_px: float = 0.0,
@@ -175,7 +176,7 @@ def read_print(
     return Patches(mean, variance, count, clipped, meter.albedo, shaded)
 
 
-def standing(seen: Patches, place: np.ndarray) -> Patches:
+def standing(seen: Patches, place: ndarray) -> Patches:
     """What a shaded print shows where the object stands on it: its brightest quarter, as dark
     as that place is. place : of shadow.light_at"""
     known = (seen.count.reshape(2, -1) > 0).all(0)
@@ -195,8 +196,8 @@ def standing(seen: Patches, place: np.ndarray) -> Patches:
 
 
 def _robust_means(
-    value: np.ndarray, usable: np.ndarray, patch: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    value: ndarray, usable: ndarray, patch: ndarray
+) -> tuple[ndarray, ndarray, ndarray]:
     """(mean, standard deviation (8, 3), samples (8,)) of the patches, 0 where they are few.
 
     value (n, n, m, 3), usable (n, n, m) : samples of each cell;  patch : (n, n)"""
@@ -225,19 +226,19 @@ def _robust_means(
     return enough * mean, enough * spread, np.where(enough[:, 0], count, 0)
 
 
-def _step(level: np.ndarray | float) -> np.ndarray:
+def _step(level: ndarray | float) -> ndarray:
     """An 8-bit step in linear light, at a linear level."""
     slope = _GAMMA * np.maximum(level, 0) ** (1 - 1 / _GAMMA)
     return 2 * HALF_GREY * np.maximum(1 / 12.92, slope)
 
 
 def _uncertainty(
-    mean: np.ndarray,
-    spread: np.ndarray,
-    used: np.ndarray,
-    clipped: np.ndarray,
+    mean: ndarray,
+    spread: ndarray,
+    used: ndarray,
+    clipped: ndarray,
     seen: CellSamples,
-) -> np.ndarray:
+) -> ndarray:
     """(8, 3) variances of the means: noise, rounding, the share that is cut off, and blur
     from the other cells.
     """
@@ -257,7 +258,7 @@ def _uncertainty(
     return np.where(used[:, None] > 0, out, 0)
 
 
-def cut_off(fraction: np.ndarray) -> np.ndarray:
+def cut_off(fraction: ndarray) -> ndarray:
     """Deviation, over that of one sample, that a mean gets where a share of its samples was
     clipped and dropped.
 
@@ -270,7 +271,7 @@ def cut_off(fraction: np.ndarray) -> np.ndarray:
 
 def stack(
     patches: Sequence[Patches], ink: float, paper: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[ndarray, ndarray, ndarray, ndarray]:
     """(intensity (t, 8, 3), variance (t, 8, 3), clipped (t, 8), albedo (t, 8, 3)) for
     photometry.solve; NaN where nothing was measured.
     """
@@ -287,11 +288,11 @@ def stack(
 
 def of_one_scale(
     p: Photometry,
-    intensity: np.ndarray,
-    variance: np.ndarray,
-    clipped: np.ndarray,
-    albedo: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
+    intensity: ndarray,
+    variance: ndarray,
+    clipped: ndarray,
+    albedo: ndarray,
+) -> tuple[ndarray, ndarray]:
     """Light y (t, 3) and its variance, overexposed readings by their ink. It is brought to
     the paper's scale, which ink of another albedo does not have, by the readings that show
     both; where they are too few, all are read by their ink. Arguments as for `solve`.

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.numerics import divide
 
@@ -46,9 +47,9 @@ _NORMAL_95 = 1.96
 class Channel(NamedTuple):
     """One channel of a Photometry; why : its bias is assumed, "" = it is not."""
 
-    y: np.ndarray
-    var_y_own: np.ndarray
-    seen: np.ndarray
+    y: ndarray
+    var_y_own: ndarray
+    seen: ndarray
     rank: int
     unknowns: int
     condition: float
@@ -78,21 +79,21 @@ class Photometry:
     samples;  ignored : patches not finite
     """
 
-    y: np.ndarray
-    var_y_own: np.ndarray
-    seen: np.ndarray
-    rank: np.ndarray
-    unknowns: np.ndarray
-    condition: np.ndarray
-    why: np.ndarray
-    bias: np.ndarray
-    bias_95: np.ndarray
-    misfit: np.ndarray
+    y: ndarray
+    var_y_own: ndarray
+    seen: ndarray
+    rank: ndarray
+    unknowns: ndarray
+    condition: ndarray
+    why: ndarray
+    bias: ndarray
+    bias_95: ndarray
+    misfit: ndarray
     clipped: float
     ignored: int
 
     @property
-    def determined(self) -> np.ndarray:
+    def determined(self) -> ndarray:
         """(3,) False where the channel's bias is assumed."""
         return self.why == ""
 
@@ -131,13 +132,13 @@ USUAL, EXACT = Tolerances(), Tolerances(0, 0, 0, 0)
 
 
 def solve(
-    intensity: np.ndarray,
-    variance: np.ndarray | None,
-    albedo: np.ndarray,
-    clipped: np.ndarray | None = None,
+    intensity: ndarray,
+    variance: ndarray | None,
+    albedo: ndarray,
+    clipped: ndarray | None = None,
     tolerances: Tolerances = USUAL,
-    most_bias: np.ndarray | None = None,
-    print_: np.ndarray | None = None,
+    most_bias: ndarray | None = None,
+    print_: ndarray | None = None,
 ) -> Photometry:
     """intensity : (t, p, 3) linear, NaN = not measured;  variance : (t, p, 3) or None =
     equal and unknown
@@ -159,8 +160,8 @@ def solve(
 
 
 def weighted(
-    intensity: np.ndarray, variance: np.ndarray | None, albedo: np.ndarray
-) -> tuple[list[tuple[np.ndarray, np.ndarray, np.ndarray]], int]:
+    intensity: ndarray, variance: ndarray | None, albedo: ndarray
+) -> tuple[list[tuple[ndarray, ndarray, ndarray]], int]:
     """([values, 0 where not usable; inverse variances, 0 = not usable, else 1 if unknown;
     albedos: each (t, p)] by channel, number of patches that are not finite). Arguments as
     for `solve`.
@@ -179,7 +180,7 @@ def weighted(
 
 
 def assemble(
-    parts: Sequence[Channel], clipped: np.ndarray | None, ignored: int
+    parts: Sequence[Channel], clipped: ndarray | None, ignored: int
 ) -> Photometry:
     """A Photometry of the channels' results."""
     rows = zip(Channel._fields, zip(*parts, strict=True), strict=True)
@@ -191,9 +192,9 @@ def assemble(
 
 
 def bright_patches(
-    grey: np.ndarray,
-    w: np.ndarray,
-    rho: np.ndarray,
+    grey: ndarray,
+    w: ndarray,
+    rho: ndarray,
     why: str,
     rank: int,
     condition: float = MOST_CONDITION,
@@ -211,10 +212,10 @@ def bright_patches(
 
 
 def _solve_channel(
-    grey: np.ndarray,
-    w0: np.ndarray,
-    rho: np.ndarray,
-    print_: np.ndarray,
+    grey: ndarray,
+    w0: ndarray,
+    rho: ndarray,
+    print_: ndarray,
     known: bool,
     tolerances: Tolerances,
 ) -> Channel:
@@ -302,21 +303,19 @@ def _solve_channel(
     )
 
 
-def _apart(
-    column: np.ndarray, w: np.ndarray, rho: np.ndarray, inverse: np.ndarray
-) -> np.ndarray:
+def _apart(column: ndarray, w: ndarray, rho: ndarray, inverse: ndarray) -> ndarray:
     """What is left of a column (t, p) once every y_t is eliminated."""
     return column - rho * ((w * rho * column).sum(1) * inverse)[:, None]
 
 
 def _glare(
-    residual: np.ndarray,
-    w: np.ndarray,
-    rho: np.ndarray,
-    dark: np.ndarray,
+    residual: ndarray,
+    w: ndarray,
+    rho: ndarray,
+    dark: ndarray,
     scale: float,
-    print_: np.ndarray,
-) -> np.ndarray:
+    print_: ndarray,
+) -> ndarray:
     """(t,) by which most dark and most bright patches of a reading are off alike: a highlight
     on a glossy print. Only what is far from the print's usual offset.
 

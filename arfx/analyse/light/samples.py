@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 # of a cell that is left out at each side: the inner 60 % remain, at least 10 %
 MARGIN, MOST_MARGIN = 0.2, 0.45
@@ -33,15 +34,15 @@ class CellSamples(NamedTuple):
     blur brings in from other cells
     """
 
-    value: np.ndarray
-    place: np.ndarray
-    clipped: np.ndarray
+    value: ndarray
+    place: ndarray
+    clipped: ndarray
     shared: float
     leak: float
 
 
 def sample_cells(
-    linear: np.ndarray, quad_px: np.ndarray, n: int, blur_px: float
+    linear: ndarray, quad_px: ndarray, n: int, blur_px: float
 ) -> CellSamples | None:
     """None for a quad that is bent.
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.light.model import Group
 from arfx.analyse.light.sphere import DEG_4, DEG_16, nearest_cell
@@ -29,11 +30,11 @@ class Samples:
     number of independent values
     """
 
-    normals: np.ndarray
-    value: np.ndarray
-    weight: np.ndarray
-    starts: np.ndarray
-    scale: np.ndarray
+    normals: ndarray
+    value: ndarray
+    weight: ndarray
+    starts: ndarray
+    scale: ndarray
     effective: float
 
     def groups(self, gamma_sigma: float = 0.0) -> list[Group]:
@@ -57,7 +58,7 @@ class Samples:
             )
         return out
 
-    def condition(self, lamp: np.ndarray | None = None) -> float:
+    def condition(self, lamp: ndarray | None = None) -> float:
         """Of [1, n], columns of length 1: how well ambient light is told from a direction.
         lamp : n = 0 where it is not seen
         """
@@ -69,10 +70,10 @@ class Samples:
 
 
 def gather(
-    normals: np.ndarray,
-    irradiance: np.ndarray,
-    variance: np.ndarray | float,
-    group: np.ndarray | int,
+    normals: ndarray,
+    irradiance: ndarray,
+    variance: ndarray | float,
+    group: ndarray | int,
     model_error: float,
 ) -> Samples | None:
     """None where nothing is usable. normals (k, 3), irradiance (k, 3), variance (k, 3), group
@@ -113,9 +114,7 @@ def gather(
     return Samples(N, X, 1 / variance_of_mean, starts, scale, effective)
 
 
-def _mean(
-    n: np.ndarray, E: np.ndarray, v: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, float]:
+def _mean(n: ndarray, E: ndarray, v: ndarray) -> tuple[ndarray, ndarray, float]:
     """Robust mean of one cell's normals and values, and its variance: stated, or the
     scatter's where that is larger.
     """

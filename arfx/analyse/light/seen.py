@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.light.surroundings import PANORAMA_PX, from_panorama, turned
 from arfx.core.camera import Camera
@@ -73,11 +74,11 @@ class Snapshot(NamedTuple):
     """A small picture of one frame. picture : (h, w, 3) float16 or float32, linear"""
 
     frame: int
-    picture: np.ndarray
+    picture: ndarray
 
 
 Seen = tuple[
-    tuple[FrameFacts, ...], dict[str, np.ndarray]
+    tuple[FrameFacts, ...], dict[str, ndarray]
 ]  # facts with `seen_environment`, and the maps that they name
 
 
@@ -86,8 +87,8 @@ def with_seen(
     snapshots: Sequence[Snapshot],
     camera: Camera,
     still_camera: bool,
-    centre_m: np.ndarray,
-    up: np.ndarray,
+    centre_m: ndarray,
+    up: ndarray,
 ) -> Seen:
     """still_camera : the axes at rest are the camera's, else the world's;  centre_m, up
     (3,) : of the anchor, WORLD
@@ -99,8 +100,8 @@ def with_seen(
             by_shot.setdefault(f.shot, []).append(
                 _Posed.of(snapshot, f, camera, still_camera, centre_m)
             )
-    maps: dict[str, np.ndarray] = {}
-    keys: dict[int, tuple[np.ndarray, list[str]]] = {}
+    maps: dict[str, ndarray] = {}
+    keys: dict[int, tuple[ndarray, list[str]]] = {}
     apart_s = max(
         KEY_S, sum(p[-1].time_s - p[0].time_s for p in by_shot.values()) / MOST_MAPS
     )
@@ -134,7 +135,7 @@ def with_seen(
 
 
 def given_everywhere(
-    facts: Sequence[FrameFacts], panorama: np.ndarray, world_from_anchor: np.ndarray
+    facts: Sequence[FrameFacts], panorama: ndarray, world_from_anchor: ndarray
 ) -> Seen:
     """The same, and `environment`, of a picture of all surroundings, as
     surroundings.from_panorama takes it.
@@ -146,7 +147,7 @@ def given_everywhere(
         for size in (PANORAMA_PX, FACE_PX)
     )
     faces = np.clip(divide(faces, faces.mean()), 0, 6e4)  # its scale means nothing
-    maps: dict[str, np.ndarray] = {}
+    maps: dict[str, ndarray] = {}
     name = _named(np.concatenate([faces, np.ones_like(faces[..., :1])], -1), maps)
     given: dict[str, Any] = {
         "environment": CubeMap.of(small),
@@ -156,7 +157,7 @@ def given_everywhere(
     return tuple(posed), maps
 
 
-def _named(rgba: np.ndarray, maps: dict[str, np.ndarray]) -> str:
+def _named(rgba: ndarray, maps: dict[str, ndarray]) -> str:
     small = rgba.astype(np.float16)
     name = hashlib.blake2b(small.tobytes(), digest_size=8).hexdigest()
     maps[name] = small
@@ -172,12 +173,12 @@ class _Posed:
     """
 
     time_s: float
-    picture: np.ndarray
-    level: np.ndarray
+    picture: ndarray
+    level: ndarray
     camera: Camera
-    camera_from_static: np.ndarray
-    centre_m: np.ndarray
-    lamps: np.ndarray
+    camera_from_static: ndarray
+    centre_m: ndarray
+    lamps: ndarray
 
     @staticmethod
     def of(
@@ -185,7 +186,7 @@ class _Posed:
         f: FrameFacts,
         camera: Camera,
         still_camera: bool,
-        centre_m: np.ndarray,
+        centre_m: ndarray,
     ) -> _Posed:
         pose, light = f.pose, f.light
         assert light is not None
@@ -207,8 +208,8 @@ class _Posed:
         )
 
     def seen(
-        self, directions: np.ndarray, inverse_radius: float
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, directions: ndarray, inverse_radius: float
+    ) -> tuple[ndarray, ndarray]:
         """((n, 3) shares, (n,) weight 0..1) in directions (n, 3), axes at rest, from the anchor.
 
         inverse_radius : 1/m, of the sphere about the anchor on which everything lies"""
@@ -231,7 +232,7 @@ class _Posed:
         return rgb, weight * (1 - bright * lamp)
 
 
-def _inverse_radius(snapshots: Sequence[_Posed], up: np.ndarray) -> float:
+def _inverse_radius(snapshots: Sequence[_Posed], up: ndarray) -> float:
     """1/m: that of NEARNESSES with which the snapshots agree best on what is above the plane;
     the farthest of those as good.
     """
@@ -268,8 +269,8 @@ def _inverse_radius(snapshots: Sequence[_Posed], up: np.ndarray) -> float:
 
 
 def _maps(
-    snapshots: Sequence[_Posed], times: np.ndarray, inverse_radius: float
-) -> list[np.ndarray]:
+    snapshots: Sequence[_Posed], times: ndarray, inverse_radius: float
+) -> list[ndarray]:
     """(6, n, n, 4) float32 at each of `times`: radiance times the fourth, how well it is known."""
     d = face_directions(FACE_PX).reshape(-1, 3)
     sums, known = np.zeros((len(times), len(d), 4), np.float32), np.zeros(len(d))
@@ -295,7 +296,7 @@ def _maps(
     return out
 
 
-def _filled(rgba: np.ndarray, most: np.ndarray) -> np.ndarray:
+def _filled(rgba: ndarray, most: ndarray) -> ndarray:
     """(6, n, n, 4) the map with what is around its known part: the mean of what is near,
     the coarser and less known the farther off (push and pull, Gortler et al. 1996). most
     (4,) : what is brighter, such as a lamp, goes on no brighter"""

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.facts import PlaneShadow
 from arfx.core.numerics import divide, medians, smoothstep
@@ -22,7 +23,7 @@ CASTER_M = 0.1  # a hand above the print
 MOST_EDGES = 60  # frames
 
 
-def quarters(cells: np.ndarray) -> np.ndarray:
+def quarters(cells: ndarray) -> ndarray:
     """(2, 2) light on a print's quarters, rows from the top, NaN = not known. cells : (n, n)
     of bright ones, NaN = not known"""
     low = np.arange(len(cells)) >= len(cells) // 2
@@ -30,7 +31,7 @@ def quarters(cells: np.ndarray) -> np.ndarray:
     return medians(cells.ravel(), own & np.isfinite(cells).ravel()).reshape(2, 2)
 
 
-def clearly_shaded(cells: np.ndarray) -> bool:
+def clearly_shaded(cells: ndarray) -> bool:
     """Whether a quarter is clearly darker than the brightest one; nothing is clear where one
     is not known.
     """
@@ -38,13 +39,13 @@ def clearly_shaded(cells: np.ndarray) -> bool:
     return bool(0 < light.max() >= light.min() / LEAST_LEFT)
 
 
-def light_at(cells: np.ndarray, place: np.ndarray) -> float:
+def light_at(cells: ndarray, place: ndarray) -> float:
     """Light of white at a place (2,) on the print, x right and y up, -1 .. 1; 0 in the middle."""
     right, up = np.clip(place + 0.5, 0, 1)
     return float(np.sum(np.outer([up, 1 - up], [1 - right, right]) * quarters(cells)))
 
 
-def real_shadow(cells: np.ndarray, corners_m: np.ndarray) -> PlaneShadow:
+def real_shadow(cells: ndarray, corners_m: ndarray) -> PlaneShadow:
     """The shadow on the anchor's print. cells : without the camera's bias;  corners_m : (4,
     3) of the print. Anchor axes: x right, y up.
     """
@@ -54,9 +55,7 @@ def real_shadow(cells: np.ndarray, corners_m: np.ndarray) -> PlaneShadow:
     return PlaneShadow((-x, -y, x, y), (tuple(bottom), tuple(top)))
 
 
-def edge_clue(
-    cells: Sequence[np.ndarray], corners_m: np.ndarray
-) -> dict[str, Any] | None:
+def edge_clue(cells: Sequence[ndarray], corners_m: ndarray) -> dict[str, Any] | None:
     """What the edge tells of the lamp, for the report; None where no shadow lay on the print.
 
     cells : of the frames in which one did;  corners_m : (4, 3) of the print
@@ -77,7 +76,7 @@ def edge_clue(
     }
 
 
-def _edge(cells: np.ndarray) -> tuple[np.ndarray, float]:
+def _edge(cells: ndarray) -> tuple[ndarray, float]:
     """(unit vector (2,) from the lit to the shaded part, x right and y up; width of the edge
     over the print's side).
     """
@@ -89,7 +88,7 @@ def _edge(cells: np.ndarray) -> tuple[np.ndarray, float]:
     light = cells[row, column] / quarters(cells).max()
     slope = np.linalg.lstsq(np.column_stack([places, np.ones(len(row))]), light)[0]
 
-    def off(p: np.ndarray) -> np.ndarray:
+    def off(p: ndarray) -> ndarray:
         across = places @ [np.cos(p[0]), np.sin(p[0])] - p[1]
         return p[3] + (p[4] - p[3]) * smoothstep(across / np.exp(p[2]) + 0.5) - light
 

@@ -6,6 +6,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.numerics import normalise
 from arfx.core.sampling import sphere
@@ -21,7 +22,7 @@ def _tree(count: int) -> Any:
     return cKDTree(sphere(count))
 
 
-def nearest_cell(directions: np.ndarray, count: int) -> np.ndarray:
+def nearest_cell(directions: ndarray, count: int) -> ndarray:
     """(...) which of `sphere(count)` is nearest to (..., 3), of any finite length
     above 0."""
     return np.asarray(_tree(count).query(normalise(np.asarray(directions, float)))[1])

@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.light.brightness import brightness, common_level, steps
 from arfx.analyse.light.fit import span_deg
@@ -61,15 +62,15 @@ class Readings:
     lies on a part of it
     """
 
-    frame: np.ndarray
-    normal: np.ndarray
-    print_: np.ndarray
-    stood_on: np.ndarray
-    radiance: np.ndarray
-    variance: np.ndarray
-    even: np.ndarray
+    frame: ndarray
+    normal: ndarray
+    print_: ndarray
+    stood_on: ndarray
+    radiance: ndarray
+    variance: ndarray
+    even: ndarray
 
-    def __getitem__(self, rows: np.ndarray) -> Readings:
+    def __getitem__(self, rows: ndarray) -> Readings:
         return Readings(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
@@ -80,7 +81,7 @@ class StaticFrameLight:
         self,
         frames: Sequence[int],
         facts: Sequence[FrameFacts],
-        static_from_world: dict[int, np.ndarray],
+        static_from_world: dict[int, ndarray],
         readings: Readings,
         params: LightParams,
     ) -> None:
@@ -90,7 +91,7 @@ class StaticFrameLight:
         self.readings = readings[np.isin(readings.frame, self.frames)]
         self.lit = np.unique(self.readings.frame).tolist()
 
-    def times_s(self, frames: Iterable[int]) -> np.ndarray:
+    def times_s(self, frames: Iterable[int]) -> ndarray:
         return np.array([self.facts[k].time_s for k in frames])
 
     def from_markers(
@@ -208,7 +209,7 @@ class StaticFrameLight:
         common, _ = common_level(used.frame, used.print_, level, variance)
         return steps(self.times_s(np.unique(used.frame)), common).tolist()
 
-    def _levels(self, made: np.ndarray) -> tuple[Readings, np.ndarray, np.ndarray]:
+    def _levels(self, made: ndarray) -> tuple[Readings, ndarray, ndarray]:
         """(those that say how bright their frames are; the logarithm (n, 3) of what they show
         over what was made, and its variance (n,)).
 
@@ -281,7 +282,7 @@ def told(verdict: str, reason: str, light: Light) -> dict[str, Any]:
     }
 
 
-def used_spans(spans: Sequence[Span]) -> np.ndarray:
+def used_spans(spans: Sequence[Span]) -> ndarray:
     """(s,) int: which span's light is used in each, -1 = soft light.
 
     One that is refused takes the one before it, where the one after it agrees.

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.light.brightness import group_means
 from arfx.analyse.light.sphere import DEG_8, nearest_cell
@@ -47,7 +48,7 @@ OUTSTANDING = (
 PANORAMA_PX = 16  # side of a face
 
 
-def foldable(image: np.ndarray) -> np.ndarray:
+def foldable(image: ndarray) -> ndarray:
     """(h, w, 3) float64; what is not finite is black.
 
     Raises ValueError for less than 3 x 3 pixels.
@@ -59,7 +60,7 @@ def foldable(image: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(picture), picture, 0.0)
 
 
-def cube_from_picture(image: np.ndarray, size: int = SIZE) -> np.ndarray:
+def cube_from_picture(image: ndarray, size: int = SIZE) -> ndarray:
     """(6, size, size, 3) float64 radiance, camera frame; faces, rows and columns as in
     `face_directions`. No seam anywhere: what is continuous in the picture is so on the
     sphere.
@@ -81,7 +82,7 @@ def cube_from_picture(image: np.ndarray, size: int = SIZE) -> np.ndarray:
     return _sampled_at(small, share, cv2.BORDER_REPLICATE)
 
 
-def _sampled_at(picture: np.ndarray, share: np.ndarray, border: int) -> np.ndarray:
+def _sampled_at(picture: ndarray, share: ndarray, border: int) -> ndarray:
     """(6, n, n, 3) of the picture at shares (6, n, n, 2) of its width and height."""
     size = share.shape[1]
     at = (share * picture.shape[1::-1] - 0.5).reshape(-1, size, 2).astype(np.float32)
@@ -90,7 +91,7 @@ def _sampled_at(picture: np.ndarray, share: np.ndarray, border: int) -> np.ndarr
     return out.reshape(6, size, size, 3)
 
 
-def from_panorama(picture: np.ndarray, size: int = SIZE) -> np.ndarray:
+def from_panorama(picture: ndarray, size: int = SIZE) -> ndarray:
     """(6, size, size, 3) radiance of an equirectangular picture (h, w, 3), axes of
     static_frame.py (z up, middle column x).
 
@@ -111,7 +112,7 @@ def from_panorama(picture: np.ndarray, size: int = SIZE) -> np.ndarray:
     return _sampled_at(a, np.stack([across, down], -1), cv2.BORDER_WRAP).astype(float)
 
 
-def turned(faces: np.ndarray, source_from_dest: np.ndarray) -> np.ndarray:
+def turned(faces: ndarray, source_from_dest: ndarray) -> ndarray:
     """The cube (6, n, n, 3) in other axes. source_from_dest : (3, 3) rotation to the cube's axes"""
     d = face_directions(faces.shape[1])
     return look_up(
@@ -119,7 +120,7 @@ def turned(faces: np.ndarray, source_from_dest: np.ndarray) -> np.ndarray:
     ).reshape(faces.shape)
 
 
-def soft_of(faces: np.ndarray, world_from_camera: np.ndarray) -> np.ndarray:
+def soft_of(faces: ndarray, world_from_camera: ndarray) -> ndarray:
     """(9, 3) harmonics, WORLD frame, of the radiance of a white diffuse surface over its
     normal (core.light.Light.soft).
 
@@ -143,13 +144,13 @@ class EnvironmentSample:
     darkest : (3,) linear light of the picture's darkest hundredth"""
 
     frame: int
-    cube: np.ndarray
-    plane: np.ndarray
-    darkest: np.ndarray
+    cube: ndarray
+    plane: ndarray
+    darkest: ndarray
 
 
 def environment_sample(
-    frame: int, picture: np.ndarray, beside_px: np.ndarray
+    frame: int, picture: ndarray, beside_px: ndarray
 ) -> EnvironmentSample:
     """picture : (h, w, 3) linear, at least 3 x 3, of the whole frame, made smaller
     beside_px : (n, 2) places in it beside the marker; NaN, or outside = not seen
@@ -166,9 +167,7 @@ def environment_sample(
     )
 
 
-def overhead(
-    static_from_camera: Sequence[np.ndarray], normal: np.ndarray
-) -> np.ndarray:
+def overhead(static_from_camera: Sequence[ndarray], normal: ndarray) -> ndarray:
     """(3,) unit, STATIC axes: where most of the light of a room or a sky is taken to come from.
 
     A plane that lies faces it. An upright one sees the half of the room before it: halfway
@@ -184,9 +183,9 @@ def overhead(
 
 def soft_light(
     samples: Sequence[EnvironmentSample],
-    static_from_camera: Sequence[np.ndarray],
-    up: np.ndarray,
-    shown: np.ndarray | None,
+    static_from_camera: Sequence[ndarray],
+    up: ndarray,
+    shown: ndarray | None,
 ) -> Light:
     """Mean of the looks as one light without a direction, STATIC axes.
 
@@ -217,8 +216,8 @@ def soft_light(
 
 
 def mean_look(
-    samples: Sequence[EnvironmentSample], camera_from_dest: Sequence[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
+    samples: Sequence[EnvironmentSample], camera_from_dest: Sequence[ndarray]
+) -> tuple[ndarray, ndarray]:
     """(cube (6, n, n, 3) in axes that all share, plane's radiance (3,)) of the looks.
 
     camera_from_dest : (3, 3) of each"""
@@ -227,7 +226,7 @@ def mean_look(
     return cube, np.mean([look.plane for look in samples], 0)
 
 
-def scaled_to(light: Light, normals: np.ndarray, radiance: np.ndarray) -> Light:
+def scaled_to(light: Light, normals: ndarray, radiance: ndarray) -> Light:
     """The light, channel by channel as bright as white surfaces are measured, on average.
 
     normals : (k, 3), axes of the light;  radiance : (k, 3)"""
@@ -235,7 +234,7 @@ def scaled_to(light: Light, normals: np.ndarray, radiance: np.ndarray) -> Light:
     return light.scaled(divide(radiance.mean(0), shown, where_zero=1.0))
 
 
-def matched(light: Light, normals: np.ndarray, shown: np.ndarray) -> Light:
+def matched(light: Light, normals: ndarray, shown: ndarray) -> Light:
     """The soft light bent so that white surfaces with `normals` look as measured, as little
     as that takes.
 

@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.job import AnalysisFrame
 from arfx.analyse.markers.detect import Candidate, MarkerDetector, sides
@@ -81,7 +82,7 @@ class CodedPrints:
             for c in self.detector.search(luma, part)
         ]
 
-    def _on_reduced(self, luma: np.ndarray, keys: Sequence[str]) -> list[Candidate]:
+    def _on_reduced(self, luma: ndarray, keys: Sequence[str]) -> list[Candidate]:
         factor = max(1, math.ceil(math.sqrt(luma.size / REDUCED_PX)))
         return [c for c in self.detector.search(luma, None, factor) if c.key in keys]
 
@@ -95,7 +96,7 @@ def _rect(track: Track, time_s: float) -> Rect:
     return Rect.around(track.quad + shift, spread + 0.5 * float(np.abs(shift).max()))
 
 
-def _merged(rects: Iterable[Rect], luma: np.ndarray) -> list[Rect]:
+def _merged(rects: Iterable[Rect], luma: ndarray) -> list[Rect]:
     """The parts of rectangles within the picture, overlapping ones united, so that no marker
     is reported twice."""
     whole = Rect.of(luma.shape[1], luma.shape[0])

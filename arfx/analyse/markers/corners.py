@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.markers.detect import Candidate, Detection, sides
 from arfx.analyse.markers.edges import (
@@ -74,16 +75,16 @@ class Corners(NamedTuple):
     the edge symmetric
     """
 
-    corners_px: np.ndarray
-    sigma_px: np.ndarray
-    blur_px: np.ndarray
-    inverted: np.ndarray
-    refined: np.ndarray
-    skew: np.ndarray
+    corners_px: ndarray
+    sigma_px: ndarray
+    blur_px: ndarray
+    inverted: ndarray
+    refined: ndarray
+    skew: ndarray
 
 
 @cache
-def linear_table(transfer: str = LIGHT) -> np.ndarray:
+def linear_table(transfer: str = LIGHT) -> ndarray:
     """(256,) float32: coded luma to linear light on a scale of 0..255; read-only."""
     table = (Transfer(transfer).decode(np.arange(256) / 255.0) * 255.0).astype(
         np.float32
@@ -93,10 +94,10 @@ def linear_table(transfer: str = LIGHT) -> np.ndarray:
 
 
 def refine_corners(
-    luma: np.ndarray,
-    quads_px: np.ndarray,
-    cells: np.ndarray,
-    table: np.ndarray,
+    luma: ndarray,
+    quads_px: ndarray,
+    cells: ndarray,
+    table: ndarray,
     camera: Camera | None = None,
 ) -> Corners:
     """Refine n markers of one image together.
@@ -128,9 +129,7 @@ def refine_corners(
     )
 
 
-def shared_px(
-    corners_px: np.ndarray, blur_px: np.ndarray, cells: np.ndarray
-) -> np.ndarray:
+def shared_px(corners_px: ndarray, blur_px: ndarray, cells: ndarray) -> ndarray:
     """(n,) standard deviation of a corner coordinate that all samples of a side share,
     beside Corners.sigma_px.
 
@@ -161,7 +160,7 @@ def shared_px(
     )
 
 
-def cell_px(quad: np.ndarray, cells: np.ndarray) -> np.ndarray:
+def cell_px(quad: ndarray, cells: ndarray) -> ndarray:
     """(n, 4) px from each side of quads (n, 4, 2) to the next line of cells; cells : (n,)
     along a side.
     """
@@ -174,16 +173,14 @@ def cell_px(quad: np.ndarray, cells: np.ndarray) -> np.ndarray:
     return np.asarray(deep / np.reshape(cells, (-1, 1)))
 
 
-def _clear(
-    start: np.ndarray, edges: Edges, half: np.ndarray, reach: np.ndarray
-) -> np.ndarray:
+def _clear(start: ndarray, edges: Edges, half: ndarray, reach: ndarray) -> ndarray:
     """(n,) Was an edge found, of enough contrast, straight, and not some other one far away?"""
     away = np.abs(edges.quad - start).max((1, 2))
     near = away <= np.maximum(3.0, 1.5 * reach.max(1))
     return near & (edges.gain.min(1) > FAINT) & (edges.spread < half.max(1))
 
 
-def _bend(quad: np.ndarray, camera: Camera | None) -> np.ndarray:
+def _bend(quad: ndarray, camera: Camera | None) -> ndarray:
     """(n, 4, SAMPLES, 2) px by which the image of a straight side leaves its chord."""
     if camera is None or not camera.distorted:
         return np.zeros((len(quad), 4, SAMPLES, 2))
@@ -225,7 +222,7 @@ def chosen_transfer(in_light: Sequence[float], in_code: Sequence[float]) -> str:
 
 
 def refine_found(
-    luma: np.ndarray, found: Sequence[Candidate], transfer: str, camera: Camera
+    luma: ndarray, found: Sequence[Candidate], transfer: str, camera: Camera
 ) -> list[tuple[Detection, float]]:
     """The prints that were found, refined in LIGHT or CODE, each with the skew of its edges,
     as of `Corners`."""

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.marker_codes import dictionary
 from arfx.core.rect import Rect
@@ -44,7 +45,7 @@ class Candidate(NamedTuple):
 
     family: str
     id: int
-    quad_px: np.ndarray
+    quad_px: ndarray
 
     @property
     def key(self) -> str:
@@ -66,7 +67,7 @@ class Detection(NamedTuple):
     """
 
     key: str
-    corners_px: np.ndarray
+    corners_px: ndarray
     sigma_px: float
     blur_px: float
     inverted: bool
@@ -74,7 +75,7 @@ class Detection(NamedTuple):
     misfit_px: float = 0.0
 
     @property
-    def quad_px(self) -> np.ndarray:
+    def quad_px(self) -> ndarray:
         return self.corners_px
 
     @property
@@ -95,10 +96,10 @@ class Record:
     detections: tuple[Detection, ...]
     duplicates: tuple[Detection, ...]
     whole: bool
-    thumbnail: np.ndarray
+    thumbnail: ndarray
 
 
-def sides(quads: np.ndarray) -> np.ndarray:
+def sides(quads: ndarray) -> ndarray:
     """(..., 4) lengths of the sides of quads (..., 4, 2), from corner k to k + 1."""
     return np.linalg.norm(np.roll(quads, -1, -2) - quads, axis=-1)
 
@@ -114,7 +115,7 @@ class MarkerDetector:
 
     def search(
         self,
-        luma: np.ndarray,
+        luma: ndarray,
         rect: Rect | None = None,
         factor: int = 1,
         min_side_px: float = 0.0,

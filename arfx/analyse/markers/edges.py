@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.rect import Rect
 
@@ -53,21 +54,21 @@ class Edges(NamedTuple):
     median of sides;  blur, skew, inverted : (n,) as of Corners;  blurs : (n, 4) of each side
     """
 
-    quad: np.ndarray
-    gain: np.ndarray
-    spread: np.ndarray
-    blur: np.ndarray
-    skew: np.ndarray
-    inverted: np.ndarray
-    blurs: np.ndarray
+    quad: ndarray
+    gain: ndarray
+    spread: ndarray
+    blur: ndarray
+    skew: ndarray
+    inverted: ndarray
+    blurs: ndarray
 
 
 def find_edges(
-    luma: np.ndarray,
-    table: np.ndarray,
-    start: np.ndarray,
-    bend: np.ndarray,
-    reaches: Sequence[np.ndarray],
+    luma: ndarray,
+    table: ndarray,
+    start: ndarray,
+    bend: ndarray,
+    reaches: Sequence[ndarray],
 ) -> Edges:
     """Edges near quads.
 
@@ -109,12 +110,12 @@ def find_edges(
     return Edges(quad, clear, _middle(spread), blur, skew, inverted, blurs)
 
 
-def _middle(sides: np.ndarray) -> np.ndarray:
+def _middle(sides: ndarray) -> ndarray:
     """(n,) median of the values (n, 4) of four sides."""
     return np.sort(sides, -1)[:, 1:3].mean(-1)
 
 
-def sampled(luma: np.ndarray, table: np.ndarray, places: np.ndarray) -> np.ndarray:
+def sampled(luma: ndarray, table: ndarray, places: ndarray) -> ndarray:
     """(m, k) linear light at places (m, k) complex64 px along lines; the border is
     replicated."""
     h, w = luma.shape
@@ -127,12 +128,12 @@ def sampled(luma: np.ndarray, table: np.ndarray, places: np.ndarray) -> np.ndarr
 
 
 def profiles(
-    luma: np.ndarray,
-    table: np.ndarray,
-    corners: np.ndarray,
-    off_chord: np.ndarray,
-    far: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
+    luma: ndarray,
+    table: ndarray,
+    corners: ndarray,
+    off_chord: ndarray,
+    far: ndarray,
+) -> tuple[ndarray, ndarray]:
     """(n, 4, SAMPLES, STEPS - 1) how much darker it gets from sample to sample, inwards; and
     where, px from the chord.
 
@@ -153,8 +154,8 @@ def profiles(
 
 
 def _lines(
-    off: np.ndarray, there: np.ndarray, weight: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    off: ndarray, there: ndarray, weight: ndarray
+) -> tuple[ndarray, ndarray, ndarray]:
     """Robust lines (iterated, Geman-McClure) through samples off (n, 4, SAMPLES) that are
     there: values at their ends (n, 4, 2), spread px (n, 4), and the samples' weights."""
     weight = weight * there
@@ -167,7 +168,7 @@ def _lines(
     return ends, scale, weight
 
 
-def _meeting(corners: np.ndarray, ends: np.ndarray) -> np.ndarray:
+def _meeting(corners: ndarray, ends: ndarray) -> ndarray:
     """(n, 4) where the sides meet, moved inwards by ends (n, 4, 2)."""
     chord = corners[:, _NEXT] - corners
     inwards = 1j * chord / np.abs(chord)
@@ -178,9 +179,7 @@ def _meeting(corners: np.ndarray, ends: np.ndarray) -> np.ndarray:
     return begin + d * ((before * gap).imag / (before * d).imag)
 
 
-def _shape(
-    mean: np.ndarray, far: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _shape(mean: ndarray, far: ndarray) -> tuple[ndarray, ndarray, ndarray]:
     """Standard deviations px (n, 4) of the mean profiles (n, 4, STEPS - 1) of the sides, the
     narrowing by the window that they are seen through taken out; their median, and skew (n,).
     """
@@ -194,7 +193,7 @@ def _shape(
     return np.sqrt(variance), blur, skew
 
 
-def moments(profile: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def moments(profile: ndarray, place: ndarray) -> tuple[ndarray, ndarray]:
     """Means of the square and of the cube of `place` about its mean, under profiles along the
     last axis."""
     profile = profile / profile.sum(-1, keepdims=True)

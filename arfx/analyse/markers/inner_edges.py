@@ -11,6 +11,7 @@ from functools import cache
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.marker_codes import cells_per_side, marker_cells
 from arfx.core.numerics import divide
@@ -27,7 +28,7 @@ AGREE_CELLS = 0.05  # what the camera makes of edges moves lines by less
 
 
 @cache
-def _lines(family: str, number: int) -> tuple[np.ndarray, np.ndarray]:
+def _lines(family: str, number: int) -> tuple[ndarray, ndarray]:
     """Of one print, cells from its upper left corner: middles (k, 2), and unit normals (k,
     2) to the brighter cell.
     """
@@ -44,12 +45,12 @@ def _lines(family: str, number: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def misplaced_px(
-    luma: np.ndarray,
-    corners_px: np.ndarray,
+    luma: ndarray,
+    corners_px: ndarray,
     family: str,
     number: int,
     inverted: bool,
-    table: np.ndarray,
+    table: ndarray,
 ) -> float:
     """Root mean square over the corners of how far they are from where the inner cells have
     them; 0 where these agree.

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.markers.detect import SCANNED_FAMILIES, Candidate, MarkerDetector
 from arfx.core.marker import FAMILIES, smallest_family
@@ -32,7 +33,7 @@ HOLDS, SURE = (
 )  # chance at which a reading counts, and at which one is enough
 
 
-def legible(luma: np.ndarray, seen: Candidate) -> tuple[bool, bool]:
+def legible(luma: ndarray, seen: Candidate) -> tuple[bool, bool]:
     """Whether this reading counts as one of several, and whether it is sure by itself: a
     quiet zone, a black border and bits that are all clear; or a code so long that chance
     does not make it."""
@@ -73,7 +74,7 @@ def legible(luma: np.ndarray, seen: Candidate) -> tuple[bool, bool]:
     return sure or wrong == 0 or chance <= HOLDS, sure
 
 
-def scan(luma: np.ndarray) -> set[str]:
+def scan(luma: ndarray) -> set[str]:
     """Keys of the plain markers of all families in a picture (h, w) uint8."""
     seen = MarkerDetector(SCANNED_FAMILIES, MIN_SIDE_PX, inverted=False).search(luma)
     return {c.key for c in seen if legible(luma, c)[1]}

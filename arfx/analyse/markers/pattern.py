@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.markers.detect import Detection, sides
 from arfx.analyse.markers.texture import even_contrast, follow
@@ -70,11 +71,11 @@ class Level(NamedTuple):
     even : (h, w) uint8 of even local contrast;  points : (k, 2) float32 px, its corners
     """
 
-    even: np.ndarray
-    points: np.ndarray
+    even: ndarray
+    points: ndarray
 
     @property
-    def unit_from_level(self) -> np.ndarray:
+    def unit_from_level(self) -> ndarray:
         h, w = self.even.shape
         return np.array([[1 / w, 0, 0.5 / w], [0, 1 / h, 0.5 / h], [0, 0, 1]])
 
@@ -84,7 +85,7 @@ class PatternPicture:
 
     Raises InputError, naming the print, where it is too small or too plain to be found."""
 
-    def __init__(self, name: str, luma: np.ndarray) -> None:
+    def __init__(self, name: str, luma: ndarray) -> None:
         h, w = luma.shape
         if min(h, w) < LEAST_PICTURE_PX:
             raise InputError(
@@ -104,7 +105,7 @@ class PatternPicture:
                 "a picture with detail all over it",
             )
 
-    def find(self, features: Features, camera: Camera) -> np.ndarray | None:
+    def find(self, features: Features, camera: Camera) -> ndarray | None:
         """ideal_from_unit by matching features, right to some pixels; None where too few agree."""
         if len(features.descriptors) < LEAST_MATCHES:
             return None
@@ -126,7 +127,7 @@ class PatternPicture:
         return h * np.outer([pixel, pixel, 1], [base, base, 1])
 
     def align(
-        self, luma: np.ndarray, camera: Camera, ideal_from_unit: np.ndarray
+        self, luma: ndarray, camera: Camera, ideal_from_unit: ndarray
     ) -> tuple[Detection, float] | None:
         """The print where it is, from where it is about, and the share of its corners in view
         that agree; None where it is not there.
@@ -144,7 +145,7 @@ class PatternPicture:
         return None
 
 
-def check_turned(name: str, luma: np.ndarray) -> None:
+def check_turned(name: str, luma: ndarray) -> None:
     """Raises ConfigError for a print that looks the same turned about its middle: it would
     be found in several poses.
     luma : (h, w) uint8
@@ -173,12 +174,12 @@ class Features(NamedTuple):
     image's pixel, in the frame's
     """
 
-    pixels: np.ndarray
-    descriptors: np.ndarray
+    pixels: ndarray
+    descriptors: ndarray
     px: float
 
 
-def frame_features(luma: np.ndarray, most_px: float) -> Features:
+def frame_features(luma: ndarray, most_px: float) -> Features:
     """SIFT features of a frame, reduced to about `most_px` pixels where it has more."""
     h, w = luma.shape
     px = max(float(np.sqrt(h * w / most_px)), 1.0)
@@ -190,7 +191,7 @@ def frame_features(luma: np.ndarray, most_px: float) -> Features:
     return Features(units * [w, h] - 0.5, descriptors, px)
 
 
-def _found(finder: cv2.Feature2D, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _found(finder: cv2.Feature2D, image: ndarray) -> tuple[ndarray, ndarray]:
     """Of an image's features their places (n, 2), in its size, and descriptors (n, 128)."""
     keypoints, descriptors = finder.detectAndCompute(image, None)
     if descriptors is None:
@@ -200,7 +201,7 @@ def _found(finder: cv2.Feature2D, image: np.ndarray) -> tuple[np.ndarray, np.nda
     ], descriptors
 
 
-def _described(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _described(image: ndarray) -> tuple[ndarray, ndarray]:
     """Features of the picture as it is seen from near and far, straight and foreshortened to
     one half (Morel and Yu 2009), as of `_found`."""
     plain = cv2.SIFT.create(FEATURES, contrastThreshold=_FAINT)
@@ -215,7 +216,7 @@ def _described(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return units[inside], descriptors[inside]
 
 
-def plausible(quad: np.ndarray) -> bool:
+def plausible(quad: ndarray) -> bool:
     """Whether a quad (4, 2) px can be the front of a print: finite, convex, the right way
     round, not too small.
     """
@@ -228,14 +229,14 @@ def plausible(quad: np.ndarray) -> bool:
     )
 
 
-def homography_of(quad: np.ndarray) -> np.ndarray:
+def homography_of(quad: ndarray) -> ndarray:
     """(3, 3) from the unit square to a quad (4, 2)."""
     return cv2.getPerspectiveTransform(
         _CORNERS.astype(np.float32), quad.astype(np.float32)
     )
 
 
-def coded_luma(linear: np.ndarray, ink: float, paper: float) -> np.ndarray:
+def coded_luma(linear: ndarray, ink: float, paper: float) -> ndarray:
     """(h, w) uint8 luma of a print, as a clip holds it: of its picture (h, w, 3), linear,
     in ink and paper of these albedos.
     """
@@ -243,14 +244,14 @@ def coded_luma(linear: np.ndarray, ink: float, paper: float) -> np.ndarray:
     return (light @ np.array([0.2126, 0.7152, 0.0722]) * 255 + 0.5).astype(np.uint8)
 
 
-def _resized(luma: np.ndarray, longest_px: float) -> np.ndarray:
+def _resized(luma: ndarray, longest_px: float) -> ndarray:
     """The picture with a longer side of so many pixels."""
     scale = longest_px / max(luma.shape)
     size = [max(round(length * scale), 8) for length in luma.shape[::-1]]
     return cv2.resize(luma, size, interpolation=cv2.INTER_AREA)
 
 
-def _level(image: np.ndarray) -> Level:
+def _level(image: ndarray) -> Level:
     even = even_contrast(image)
     inside = np.zeros_like(even)
     margin = min(_MARGIN_PX, min(even.shape) // 8)
@@ -262,15 +263,13 @@ def _level(image: np.ndarray) -> Level:
     return Level(even, np.reshape(() if points is None else points, (-1, 2)))
 
 
-def _mapped(h: np.ndarray, xy: np.ndarray) -> np.ndarray:
+def _mapped(h: ndarray, xy: ndarray) -> ndarray:
     """Points (n, 2) under homographies (..., 3, 3); NaN on and beyond a horizon."""
     p = np.concatenate([xy, np.ones((len(xy), 1))], 1) @ np.swapaxes(h, -1, -2)
     return np.where(p[..., 2:] > 1e-9, divide(p[..., :2], p[..., 2:]), np.nan)
 
 
-def _pixels(
-    camera: Camera, ideal_from_unit: np.ndarray, unit: np.ndarray
-) -> np.ndarray:
+def _pixels(camera: Camera, ideal_from_unit: ndarray, unit: ndarray) -> ndarray:
     ideal = _mapped(ideal_from_unit, unit)
     return camera.project(np.concatenate([ideal, np.ones_like(ideal[..., :1])], -1))
 
@@ -282,16 +281,16 @@ class _Followed(NamedTuple):
     the print;  units, moved : (n, 2) of it, and px of the cut-out
     agree : (n,) on that;  share : of the corners in view that agree"""
 
-    cut: np.ndarray
-    ideal_from_unit: np.ndarray
-    units: np.ndarray
-    moved: np.ndarray
-    agree: np.ndarray
+    cut: ndarray
+    ideal_from_unit: ndarray
+    units: ndarray
+    moved: ndarray
+    agree: ndarray
     share: float
 
 
 def _followed(
-    level: Level, luma: np.ndarray, camera: Camera, ideal_from_unit: np.ndarray
+    level: Level, luma: ndarray, camera: Camera, ideal_from_unit: ndarray
 ) -> _Followed | None:
     """None where too few corners agree on a homography."""
     h, w = level.even.shape
@@ -343,16 +342,16 @@ def _aligned(name: str, camera: Camera, found: _Followed) -> Detection | None:
 
     level_from_ideal = np.linalg.inv(found.cut)
 
-    def changed(change: np.ndarray) -> np.ndarray:
+    def changed(change: ndarray) -> ndarray:
         """The print moved a little in its own plane, by eight numbers."""
         moved = np.eye(3) + np.append(change, 0.0).reshape(3, 3)
         return found.ideal_from_unit @ moved
 
-    def missed_by(change: np.ndarray) -> np.ndarray:
+    def missed_by(change: ndarray) -> ndarray:
         there = _mapped(level_from_ideal @ changed(change), found.units)
         return (there - found.moved)[found.agree].ravel()
 
-    def corners_by(change: np.ndarray) -> np.ndarray:
+    def corners_by(change: ndarray) -> ndarray:
         return _pixels(camera, changed(change), _CORNERS).ravel()
 
     first = missed_by(np.zeros(8))
@@ -373,5 +372,5 @@ def _aligned(name: str, camera: Camera, found: _Followed) -> Detection | None:
     return Detection(name, corners, sigma, np.nan, False, misfit_px=misfit)
 
 
-def _deviation(residuals: np.ndarray) -> float:
+def _deviation(residuals: ndarray) -> float:
     return max(1.4826 * float(np.median(np.abs(residuals))), _LEAST_PX)

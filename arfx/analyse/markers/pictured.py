@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
-import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.job import AnalysisFrame
 from arfx.analyse.markers.detect import Detection
@@ -58,7 +58,7 @@ def _first(
     picture: PatternPicture,
     frame: AnalysisFrame,
     camera: Camera,
-    abouts: Iterable[np.ndarray],
+    abouts: Iterable[ndarray],
 ) -> list[Detection]:
     """The print, if it is there. abouts : ideal_from_unit, the first that leads to it counts"""
     for about in abouts:

@@ -9,6 +9,7 @@ from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.job import AnalysisFrame, AnalysisJob
 from arfx.analyse.markers.coded import CodedPrints
@@ -43,7 +44,7 @@ class FrameRow(NamedTuple):
     width: int
     height: int
     whole: bool
-    thumbnail: np.ndarray
+    thumbnail: ndarray
 
 
 class Sighting(NamedTuple):
@@ -152,7 +153,7 @@ def _check_markers(job: AnalysisJob) -> None:
 
 def _refined(
     index: int,
-    luma: np.ndarray,
+    luma: ndarray,
     found: Sequence[Candidate],
     first: int,
     camera: Camera,

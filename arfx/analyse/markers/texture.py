@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 _NOISE = 3.0  # grey levels of contrast that are noise
 
 
-def local_contrast(
-    image: np.ndarray, window_px: int
-) -> tuple[np.ndarray, np.ndarray]:
+def local_contrast(image: ndarray, window_px: int) -> tuple[ndarray, ndarray]:
     """(h, w) float32 difference to the mean of the neighbourhood, and the standard deviation
     of image (h, w) uint8 in it.
 
@@ -22,7 +21,7 @@ def local_contrast(
     return value - mean, np.sqrt(np.maximum(variance, 0))
 
 
-def even_contrast(image: np.ndarray, window_px: int = 25) -> np.ndarray:
+def even_contrast(image: ndarray, window_px: int = 25) -> ndarray:
     """(h, w) uint8 about 128: contrast against the neighbourhood, over how much of it there is.
     Arguments as of local_contrast."""
     off, spread = local_contrast(image, window_px)
@@ -31,14 +30,14 @@ def even_contrast(image: np.ndarray, window_px: int = 25) -> np.ndarray:
 
 
 def follow(
-    first: np.ndarray,
-    second: np.ndarray,
-    points: np.ndarray,
+    first: ndarray,
+    second: ndarray,
+    points: ndarray,
     halvings: int,
     window_px: int = 15,
     rounds: int = 20,
     least_px: float = 0.005,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[ndarray, ndarray]:
     """Points of one picture in another, by Lucas and Kanade: ((n, 2) px, (n,) px by which the
     way back misses where they came from; inf where they are lost).
 

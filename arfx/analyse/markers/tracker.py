@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.job import AnalysisFrame
 
@@ -30,12 +31,12 @@ class Track(NamedTuple):
     """Where a print was last: quad (4, 2), its corners px; their speed per second; when;
     and for how many frames it has been missing."""
 
-    quad: np.ndarray
-    speed: np.ndarray
+    quad: ndarray
+    speed: ndarray
     time_s: float
     missing: int = 0
 
-    def predicted(self, time_s: float) -> np.ndarray:
+    def predicted(self, time_s: float) -> ndarray:
         """Its corners at a time; speed is trusted for a tenth of a second only."""
         return self.quad + self.speed * min(
             max(time_s - self.time_s, 0.0), _TRUSTED_S
@@ -138,6 +139,6 @@ class Tracker:
         return Found(chosen, duplicates, others, whole)
 
 
-def _apart(seen: Any, quad: np.ndarray) -> float:
+def _apart(seen: Any, quad: ndarray) -> float:
     """From the middle of a print that was seen to that of a quad (4, 2), px."""
     return math.dist(seen.quad_px.mean(0), quad.mean(0))

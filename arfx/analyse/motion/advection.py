@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.motion.flow import (
     GRID_PX,
@@ -96,7 +97,7 @@ def with_advection(
     return tuple(out)
 
 
-def _sampled(a: np.ndarray, places: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+def _sampled(a: ndarray, places: ndarray, nodes: ndarray) -> ndarray:
     """`a` (gh, gw, k) at places (gh, gw, 2) between its nodes, bilinear, linear beyond its
     border."""
     from scipy.interpolate import RegularGridInterpolator
@@ -107,14 +108,14 @@ def _sampled(a: np.ndarray, places: np.ndarray, nodes: np.ndarray) -> np.ndarray
 
 
 def _with_pose(
-    back: np.ndarray,
-    nodes: np.ndarray,
-    rays: np.ndarray,
+    back: ndarray,
+    nodes: ndarray,
+    rays: ndarray,
     now: Pose,
     then: Pose,
     camera: Camera,
     reach_m: float,
-) -> np.ndarray:
+) -> ndarray:
     """The steps back, near the anchor those of points of its plane. now, then :
     camera_from_anchor"""
     anchor_from_camera = now.inverse()
@@ -127,7 +128,7 @@ def _with_pose(
     return back + np.where(np.isfinite(pull), pull, 0)
 
 
-def relaxed(field: np.ndarray) -> np.ndarray:
+def relaxed(field: ndarray) -> ndarray:
     """The field (gh, gw, 2) without folds and a little straighter. Linear fields stay as
     they are."""
     field = field + _RELAX * _bend(field)
@@ -143,7 +144,7 @@ def relaxed(field: np.ndarray) -> np.ndarray:
     return (terms @ fit).reshape(field.shape)
 
 
-def _bend(a: np.ndarray) -> np.ndarray:
+def _bend(a: ndarray) -> ndarray:
     """How much the mean of a node's neighbours differs from it; at the border only along
     it, at corners nothing.
     """
@@ -153,7 +154,7 @@ def _bend(a: np.ndarray) -> np.ndarray:
     return out / 2
 
 
-def determinants(field: np.ndarray) -> np.ndarray:
+def determinants(field: ndarray) -> ndarray:
     """(2, gh - 1, gw - 1) of the two triangles of every quad, in units of GRID_PX^2: how
     many px of the thing lie in one of the picture.
     """

@@ -18,6 +18,7 @@ from typing import ClassVar, NamedTuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.job import AnalysisFrame
 from arfx.analyse.markers.search import Sighting
@@ -67,12 +68,12 @@ class MotionStep:
     everywhere"""
 
     index: int
-    back: np.ndarray | None
+    back: ndarray | None
     key: bool
-    detail: np.ndarray
+    detail: ndarray
 
 
-def node_positions(width: int, height: int) -> np.ndarray:
+def node_positions(width: int, height: int) -> ndarray:
     """(gh, gw, 2) x, y px of the nodes: every GRID_PX, and BORDER of them outside on each
     side.
     """
@@ -88,7 +89,7 @@ class KeyPicture(NamedTuple):
     width, height : of the frame;  begins : it is the first one"""
 
     frame: int
-    picture: np.ndarray
+    picture: ndarray
     width: int
     height: int
     begins: bool
@@ -107,7 +108,7 @@ class BackgroundMotion:
         self.steps: list[MotionStep] = []
         self.key_pictures: list[KeyPicture] = []
         # back of the last epoch, 0 where that is the key
-        self._last: np.ndarray | float = 0.0
+        self._last: ndarray | float = 0.0
 
     def step(self, frame: AnalysisFrame, _: Sequence[Sighting] = ()) -> None:
         index, luma = frame.index, frame.luma
@@ -147,8 +148,8 @@ def joined_steps(
 
 
 def _back(
-    small: np.ndarray, reference: np.ndarray, width: int, height: int
-) -> tuple[np.ndarray | None, float]:
+    small: ndarray, reference: ndarray, width: int, height: int
+) -> tuple[ndarray | None, float]:
     """((gh, gw, 2) px of the frame at the nodes, None where the two frames have nothing in
     common; share of the textured places where both directions agree)"""
     h, w = small.shape
@@ -187,7 +188,7 @@ def _back(
     return (np.round(back * STEPS_PER_PX) / STEPS_PER_PX).astype(np.float32), agreed
 
 
-def _slope(small: np.ndarray) -> np.ndarray:
+def _slope(small: ndarray) -> ndarray:
     """(h, w) grey levels per px."""
     return np.hypot(
         *(cv2.Sobel(small, cv2.CV_32F, x, 1 - x, scale=0.25) for x in (1, 0))
@@ -195,7 +196,7 @@ def _slope(small: np.ndarray) -> np.ndarray:
 
 
 @cache
-def _hats(width: int, height: int, w: int, h: int) -> tuple[np.ndarray, np.ndarray]:
+def _hats(width: int, height: int, w: int, h: int) -> tuple[ndarray, ndarray]:
     """(h, gh) and (w, gw) : share of each node in the linear interpolation at every pixel of
     the small frame."""
     nodes = node_positions(width, height)
@@ -211,28 +212,28 @@ def _hats(width: int, height: int, w: int, h: int) -> tuple[np.ndarray, np.ndarr
     return rows, columns
 
 
-def _node_sums(hats: tuple[np.ndarray, np.ndarray], *terms: np.ndarray) -> np.ndarray:
+def _node_sums(hats: tuple[ndarray, ndarray], *terms: ndarray) -> ndarray:
     """(gh, gw, k) sums of terms (h, w) around each node, by their share."""
     rows, columns = hats
     return np.stack([rows.T @ one @ columns for one in terms], -1).astype(float)
 
 
-def _around(sums: np.ndarray, nodes: float) -> np.ndarray:
+def _around(sums: ndarray, nodes: float) -> ndarray:
     return cv2.GaussianBlur(sums, (0, 0), nodes, borderType=cv2.BORDER_CONSTANT)
 
 
-def _with_neighbours(sums: np.ndarray) -> np.ndarray:
+def _with_neighbours(sums: ndarray) -> ndarray:
     return sums + _NEIGHBOURS * cv2.GaussianBlur(
         sums, (0, 0), _SPREAD_NODES, borderType=cv2.BORDER_REPLICATE
     )
 
 
 def _at_nodes(
-    back: np.ndarray,
-    trust: np.ndarray,
-    hats: tuple[np.ndarray, np.ndarray],
-    places: np.ndarray,
-) -> np.ndarray:
+    back: ndarray,
+    trust: ndarray,
+    hats: tuple[ndarray, ndarray],
+    places: ndarray,
+) -> ndarray:
     """Flow (h, w, 2) of the small frame at the nodes: the affine motion of what is trusted, and
     what differs from it spread from where it is trusted. places : of the nodes, in sizes of it"""
     h, w = trust.shape
@@ -257,7 +258,7 @@ def _at_nodes(
     return motion[0] + places @ motion[1:] + sums[..., :2] / (sums[..., 2:] + 1)
 
 
-def _detail(small: np.ndarray, width: int, height: int) -> np.ndarray:
+def _detail(small: ndarray, width: int, height: int) -> ndarray:
     """(gh, gw) uint8: mean slope of the small frame around each node, as a share of _STEEP;
     slopes of noise count nothing.
     """
@@ -269,12 +270,12 @@ def _detail(small: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 def refined(
-    back: np.ndarray,
-    small: np.ndarray,
-    reference: np.ndarray,
-    trusted: np.ndarray,
-    hats: tuple[np.ndarray, np.ndarray],
-) -> np.ndarray:
+    back: ndarray,
+    small: ndarray,
+    reference: ndarray,
+    trusted: ndarray,
+    hats: tuple[ndarray, ndarray],
+) -> ndarray:
     """(gh, gw, 2) float64 px of the small picture: `back`, a step nearer to where the
     reference has what the nodes show: the sums around each node of slopes and what is missing.
 

@@ -15,6 +15,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.even_frames import EvenFrames
 from arfx.analyse.job import AnalysisFrame
@@ -54,8 +55,8 @@ class Snapshot(NamedTuple):
     corners : (h, w) uint8, 0 where none is taken;  pixel_px : clip px in one of its own"""
 
     frame: int
-    luma: np.ndarray
-    corners: np.ndarray
+    luma: ndarray
+    corners: ndarray
     pixel_px: int
 
 
@@ -74,7 +75,7 @@ def snapshot(frame: AnalysisFrame, markers: Iterable[Rect] | None = None) -> Sna
     return Snapshot(frame.index, small, corners, factor)
 
 
-def follow(first: Snapshot, second: Snapshot) -> tuple[np.ndarray, np.ndarray]:
+def follow(first: Snapshot, second: Snapshot) -> tuple[ndarray, ndarray]:
     """Places (n, 2), (n, 2) of the first one's corners in both, clip px; NaN in the second
     where they are lost.
     """
@@ -100,8 +101,8 @@ class FlowSample:
     index: int
     frames: int
     pixel_px: int
-    here: np.ndarray
-    there: np.ndarray
+    here: ndarray
+    there: ndarray
 
 
 class BackgroundFlow:
@@ -177,8 +178,8 @@ def decide_static(
 
 
 def epipolar_distance(
-    a: np.ndarray, b: np.ndarray, b_from_a: Pose, nearest_m: float
-) -> np.ndarray:
+    a: ndarray, b: ndarray, b_from_a: Pose, nearest_m: float
+) -> ndarray:
     """(n,) from b to the segment on which a point seen at a lies in the second picture,
     `nearest_m` to infinite depth.
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 DIM = 12
 _UPPER = np.triu(np.ones((DIM, 2 * DIM)))
@@ -37,13 +38,13 @@ class Chain(NamedTuple):
     shake : (n - 1, 6, 2) what turns and moves the marker at once, about two axes
     least : (n - 1, 1) densities below it count as it, see least_density"""
 
-    information: np.ndarray
-    pull: np.ndarray
-    links: np.ndarray
-    offset: np.ndarray
-    firm: np.ndarray
-    shake: np.ndarray
-    least: np.ndarray
+    information: ndarray
+    pull: ndarray
+    links: ndarray
+    offset: ndarray
+    firm: ndarray
+    shake: ndarray
+    least: ndarray
 
     def part(self, first: int, end: int) -> Chain:
         """The states first .. end - 1."""
@@ -55,12 +56,12 @@ class Smoothed(NamedTuple):
     """mean (n, 12);  factor (25, 12 n) : lower banded Cholesky factor of the information of
     all states;  evidence : its logarithm, up to a constant of the chain"""
 
-    mean: np.ndarray
-    factor: np.ndarray
+    mean: ndarray
+    factor: ndarray
     evidence: float
 
 
-def information_of_noise(dt_s: np.ndarray) -> np.ndarray:
+def information_of_noise(dt_s: ndarray) -> ndarray:
     """(n, 2, 2) about place and velocity, of white acceleration of unit density over dt_s
     (n,): inverse of [[dt^3 / 3, dt^2 / 2], [dt^2 / 2, dt]].
     """
@@ -68,7 +69,7 @@ def information_of_noise(dt_s: np.ndarray) -> np.ndarray:
     return np.moveaxis(np.array([[12 / dt_s**3, both], [both, 4 / dt_s]]), -1, 0)
 
 
-def least_density(information: np.ndarray, firm: np.ndarray) -> np.ndarray:
+def least_density(information: ndarray, firm: ndarray) -> ndarray:
     """(n - 1, 1) with which rounding leaves digits of the measurements beside the links: a
     motion so slow is smoothed over some 800 frames. Arguments as of Chain.
     """
@@ -77,7 +78,7 @@ def least_density(information: np.ndarray, firm: np.ndarray) -> np.ndarray:
     return _DIGITS * firm[:, 0, :1] / max(weakest, 1e-9)
 
 
-def smooth_chain(chain: Chain, density: np.ndarray) -> Smoothed:
+def smooth_chain(chain: Chain, density: ndarray) -> Smoothed:
     """Every state given all measurements.
 
     density : (n - 1, 7) of the noise, or (7,) for all links; where rounding leaves no digits
@@ -131,7 +132,7 @@ def smooth_chain(chain: Chain, density: np.ndarray) -> Smoothed:
     return Smoothed(mean.reshape(n, DIM), factor, float(log))
 
 
-def covariances(factor: np.ndarray) -> np.ndarray:
+def covariances(factor: ndarray) -> ndarray:
     """(n, 12, 12) of every state given all measurements. factor : of Smoothed"""
     n = factor.shape[1] // DIM
     rows = factor.T.reshape(n, -1)[:, : 2 * DIM**2].reshape(n, DIM, 2 * DIM)

@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
 from arfx.core.numerics import divide
@@ -46,12 +47,12 @@ def figures(
     }
 
 
-def _ambiguities(facts: Sequence[FrameFacts]) -> np.ndarray:
+def _ambiguities(facts: Sequence[FrameFacts]) -> ndarray:
     every = np.array([m.ambiguity for f in facts for m in f.markers])
     return every[np.isfinite(every)]
 
 
-def quantiles(values: Sequence[float] | np.ndarray) -> dict[str, float | None]:
+def quantiles(values: Sequence[float] | ndarray) -> dict[str, float | None]:
     v = np.asarray(values, float)
     v = v[np.isfinite(v)]
     return (

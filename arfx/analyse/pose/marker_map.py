@@ -11,6 +11,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.pose.planar import (
     Observed,
@@ -38,18 +39,18 @@ class Prints(NamedTuple):
     axes of each;  poses : camera_from_marker
     """
 
-    frame: np.ndarray
-    marker: np.ndarray
+    frame: ndarray
+    marker: ndarray
     seen: Observed
     poses: PlanarPoses
 
-    def in_frames(self, frames: np.ndarray) -> Prints:
+    def in_frames(self, frames: ndarray) -> Prints:
         """What a table of rows (n, m), -1 = none, holds: m markers in n frames."""
         frame, marker = np.nonzero(frames >= 0)
         rows = frames[frame, marker]
         return Prints(frame, marker, self.seen.take(rows), self.poses.take(rows))
 
-    def by_frame(self, frames: int, markers: int) -> np.ndarray:
+    def by_frame(self, frames: int, markers: int) -> ndarray:
         """(frames, markers) row of each marker in each frame, -1 = it is not seen."""
         out = np.full((frames, markers), -1)
         out[self.frame, self.marker] = np.arange(len(self.frame))
@@ -102,13 +103,13 @@ def map_markers(prints: Prints, frames: int, keys: Sequence[str]) -> MarkerMap:
     return _adjust(prints.in_frames(chosen), len(chosen), poses, unmapped)
 
 
-def _evenly(items: np.ndarray, most: int) -> np.ndarray:
+def _evenly(items: ndarray, most: int) -> ndarray:
     at = np.linspace(0, len(items) - 1, most).round().astype(int)
     return items[np.unique(at)]
 
 
 def _spanning_tree(
-    prints: Prints, together: np.ndarray, present: Sequence[int]
+    prints: Prints, together: ndarray, present: Sequence[int]
 ) -> dict[int, Pose]:
     """Grow the map from the first marker along the pairs that agree best. together : (n, m)
     rows of `prints` in frames that show several"""
@@ -127,7 +128,7 @@ def _spanning_tree(
         out[b] = out[a] @ edge(a, b)[1]
 
 
-def _relative_pose(prints: Prints, pairs: np.ndarray) -> tuple[float, Pose]:
+def _relative_pose(prints: Prints, pairs: ndarray) -> tuple[float, Pose]:
     """(misfit, pose of b in a): the candidate under which b's corners fit best in the other
     frames, medians of px. pairs : (n, 2) rows of a and b
 
@@ -157,8 +158,8 @@ def _relative_pose(prints: Prints, pairs: np.ndarray) -> tuple[float, Pose]:
 
 
 def camera_poses(
-    prints: Prints, rows: np.ndarray, layout: Sequence[Pose]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    prints: Prints, rows: ndarray, layout: Sequence[Pose]
+) -> tuple[ndarray, ndarray, ndarray]:
     """camera_from_world by each planar pose of some prints: rotation (k, 3, 3), translation
     (k, 3), and whose it is (k,). layout : world_from_marker of every marker"""
     turn, shift = (part[prints.marker[rows], None] for part in arrays(layout))
@@ -227,7 +228,7 @@ def _adjust(
     return MarkerMap(poses, unmapped, n, rms, spread, condition(reduced))
 
 
-def arrays(poses: Sequence[Pose]) -> tuple[np.ndarray, np.ndarray]:
+def arrays(poses: Sequence[Pose]) -> tuple[ndarray, ndarray]:
     """Rotation (n, 3, 3), translation (n, 3)."""
     turn, shift = ([p.rotation for p in poses], [p.translation_m for p in poses])
     return np.array(turn), np.array(shift)

@@ -10,6 +10,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.pose.marker_map import Prints, camera_poses, observe
 from arfx.analyse.pose.planar import Observed, best_of_each, refine_poses, residuals
@@ -33,12 +34,12 @@ _STARTS = 2  # markers (the largest in the frame) whose solutions start a joint 
 
 
 def choose_path(
-    rotation: np.ndarray,
-    translation: np.ndarray,
-    cost: np.ndarray,
-    index: np.ndarray,
-    times_s: np.ndarray,
-    shot: np.ndarray,
+    rotation: ndarray,
+    translation: ndarray,
+    cost: ndarray,
+    index: ndarray,
+    times_s: ndarray,
+    shot: ndarray,
 ) -> list[int]:
     """Which candidate is chosen in every frame that has one.
 
@@ -64,8 +65,8 @@ def choose_path(
 
 
 def move_costs(
-    r0: np.ndarray, t0: np.ndarray, r1: np.ndarray, t1: np.ndarray, dt_s: float
-) -> np.ndarray:
+    r0: ndarray, t0: ndarray, r1: ndarray, t1: ndarray, dt_s: float
+) -> ndarray:
     """(...) cost of the moves from rotation r0 (..., 3, 3), translation t0 (..., 3) to r1,
     t1: half of chi squared, at most MOVE_CAP."""
     turn = np.linalg.norm(rotvec_from_rotation(r1 @ np.swapaxes(r0, -1, -2)), axis=-1)
@@ -85,9 +86,9 @@ class WorldPath(NamedTuple):
     single-frame solution was not
     the right one;  dropped : how many inconsistent sightings"""
 
-    rotation: np.ndarray
-    translation: np.ndarray
-    measured: np.ndarray
+    rotation: ndarray
+    translation: ndarray
+    measured: ndarray
     observed: Observed
     flips: int = 0
     dropped: int = 0
@@ -97,8 +98,8 @@ def world_path(
     prints: Prints,
     world_from_marker: Mapping[str, Pose],
     keys: Sequence[str],
-    shot: np.ndarray,
-    times_s: np.ndarray,
+    shot: ndarray,
+    times_s: ndarray,
 ) -> WorldPath:
     """keys : of the markers, by number;  shot : number of each frame's shot: no path runs
     across a cut;  times_s : of each frame
@@ -147,9 +148,7 @@ def world_path(
     return WorldPath(rotation, translation, measured, seen, flips, dropped)
 
 
-def _misses(
-    rotation: np.ndarray, translation: np.ndarray, seen: Observed
-) -> np.ndarray:
+def _misses(rotation: ndarray, translation: ndarray, seen: Observed) -> ndarray:
     """(n, markers) by how much each misses the pose, in sizes of the gate; 0 where it is
     not there.
     """

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.camera import Camera
 from arfx.core.numerics import EPS_DEPTH_M, divide, normalise
@@ -31,12 +32,12 @@ class Observed(NamedTuple):
     px_per_ideal : (n, p, 2, 2)
     weight : (n, p) 1 / sigma_px^2, 0 = no corner"""
 
-    points_m: np.ndarray
-    ideal: np.ndarray
-    px_per_ideal: np.ndarray
-    weight: np.ndarray
+    points_m: ndarray
+    ideal: ndarray
+    px_per_ideal: ndarray
+    weight: ndarray
 
-    def take(self, index: np.ndarray | slice | int) -> Observed:
+    def take(self, index: ndarray | slice | int) -> Observed:
         return Observed(*(a[index] for a in self))
 
 
@@ -44,34 +45,30 @@ class PlanarPoses(NamedTuple):
     """Both poses of n prints, best first. rotation : (n, 2, 3, 3);  translation : (n, 2, 3);
     error_px : (n, 2) rms over the four corners, infinite where there is none"""
 
-    rotation: np.ndarray
-    translation: np.ndarray
-    error_px: np.ndarray
+    rotation: ndarray
+    translation: ndarray
+    error_px: ndarray
 
-    def take(self, index: np.ndarray) -> PlanarPoses:
+    def take(self, index: ndarray) -> PlanarPoses:
         return PlanarPoses(*(a[index] for a in self))
 
     @property
-    def known(self) -> np.ndarray:
+    def known(self) -> ndarray:
         """(n, 2) bool"""
         return np.isfinite(self.error_px)
 
 
-def lens_scale(camera: Camera, ideal: np.ndarray) -> np.ndarray:
+def lens_scale(camera: Camera, ideal: ndarray) -> ndarray:
     """(..., 2, 2) px per unit of ideal normalised coordinates, at ideal (..., 2)."""
     return camera.stretch(ideal) * np.array([[camera.fx], [camera.fy]])
 
 
-def _in_camera(
-    rotation: np.ndarray, translation: np.ndarray, seen: Observed
-) -> np.ndarray:
+def _in_camera(rotation: ndarray, translation: ndarray, seen: Observed) -> ndarray:
     """(n, p, 3) the corners in camera coordinates."""
     return seen.points_m @ np.swapaxes(rotation, 1, 2) + translation[:, None]
 
 
-def residuals(
-    rotation: np.ndarray, translation: np.ndarray, seen: Observed
-) -> np.ndarray:
+def residuals(rotation: ndarray, translation: ndarray, seen: Observed) -> ndarray:
     """(n, p, 2) px, predicted minus seen.
 
     Points behind the camera count as straight on its plane (EPS_DEPTH_M).
@@ -81,9 +78,7 @@ def residuals(
     return np.einsum("npij,npj->npi", seen.px_per_ideal, q[..., :2] / z - seen.ideal)
 
 
-def jacobian(
-    rotation: np.ndarray, translation: np.ndarray, seen: Observed
-) -> np.ndarray:
+def jacobian(rotation: ndarray, translation: ndarray, seen: Observed) -> ndarray:
     """(n, p, 2, 6) px per left perturbation of the pose."""
     q = _in_camera(rotation, translation, seen)
     z = np.maximum(q[..., 2], EPS_DEPTH_M)
@@ -93,13 +88,13 @@ def jacobian(
     return seen.px_per_ideal @ view @ lever(q)
 
 
-def lever(points: np.ndarray) -> np.ndarray:
+def lever(points: ndarray) -> ndarray:
     """(..., 3, 6) how points (..., 3) move, by a left perturbation in their axes."""
     straight = np.broadcast_to(np.eye(3), (*points.shape, 3))
     return np.concatenate([-skew(points), straight], -1)
 
 
-def huber_cost(r: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def huber_cost(r: ndarray, weight: ndarray) -> tuple[ndarray, ndarray]:
     """Cost per frame (n,) and factor (n, p) on the weights of corners whose residual
     exceeds HUBER_SIGMA.
     """
@@ -109,11 +104,11 @@ def huber_cost(r: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def refine_poses(
-    rotation: np.ndarray,
-    translation: np.ndarray,
+    rotation: ndarray,
+    translation: ndarray,
     seen: Observed,
     iterations: int = 12,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[ndarray, ndarray, ndarray]:
     """Levenberg-Marquardt on every frame separately, Huber loss: (rotation, translation,
     cost (n,)). Many are refined in turns: memory hardly grows with them.
     """
@@ -150,29 +145,27 @@ def refine_poses(
     return rotation, translation, cost
 
 
-def information(
-    rotation: np.ndarray, translation: np.ndarray, seen: Observed
-) -> np.ndarray:
+def information(rotation: ndarray, translation: ndarray, seen: Observed) -> ndarray:
     """(n, 6, 6) Fisher information of each pose from its corners."""
     j = jacobian(rotation, translation, seen)
     return _products(j * seen.weight[..., None, None], j)
 
 
-def _products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _products(a: ndarray, b: ndarray) -> ndarray:
     """(n, i, j) sums over corners and coordinates of a (n, p, 2, i) times b (n, p, 2, j)."""
     a, b = (v.reshape(len(v), 2 * v.shape[1], v.shape[-1]) for v in (a, b))
     return np.swapaxes(a, 1, 2) @ b
 
 
-def best_of_each(owner: np.ndarray, cost: np.ndarray) -> np.ndarray:
+def best_of_each(owner: ndarray, cost: ndarray) -> ndarray:
     """(g,) which row costs least, of each owner's, in their order. owner, cost : (n,)"""
     order = np.lexsort((cost, owner))
     return order[np.unique(owner[order], return_index=True)[1]]
 
 
 def apply_step(
-    rotation: np.ndarray, translation: np.ndarray, step: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    rotation: ndarray, translation: ndarray, step: ndarray
+) -> tuple[ndarray, ndarray]:
     """Left-multiply by a small motion (n, 6): rotation about the camera's centre, then
     translation.
     """
@@ -180,7 +173,7 @@ def apply_step(
     return turn @ rotation, np.einsum("nij,nj->ni", turn, translation) + step[:, 3:]
 
 
-def rms_px(r: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def rms_px(r: ndarray, weight: ndarray) -> ndarray:
     """(n,) root mean square over the corners present of the residual's length, px; 0 where
     there is none.
     """
@@ -189,7 +182,7 @@ def rms_px(r: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return np.sqrt(total / np.maximum(on.sum(-1), 1))
 
 
-def both_poses(corners_m: np.ndarray, ideal: np.ndarray) -> np.ndarray:
+def both_poses(corners_m: ndarray, ideal: ndarray) -> ndarray:
     """(k, 2, 3) rotation vector and translation of IPPE's one or two solutions, best first,
     wherever they lie; k = 0 for corners that no direction leads to.
 
@@ -204,9 +197,7 @@ def both_poses(corners_m: np.ndarray, ideal: np.ndarray) -> np.ndarray:
     return np.stack(solved[1:3], 1).reshape(-1, 2, 3)
 
 
-def _facing_poses(
-    corners_m: np.ndarray, ideal: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _facing_poses(corners_m: ndarray, ideal: ndarray) -> tuple[ndarray, ndarray]:
     """Rotation (n, 3, 3) and translation (n, 3) of markers that face the camera, at the
     place, distance and roll of their pictures.
 
@@ -224,7 +215,7 @@ def _facing_poses(
     return rotation, ray * divide(side, extent, where_zero=1.0)[:, None]
 
 
-def _in_sight(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+def _in_sight(rotation: ndarray, translation: ndarray) -> ndarray:
     """(...) In front of the camera, printed side towards it."""
     towards = (rotation[..., 2] * translation).sum(-1)
     return (
@@ -232,7 +223,7 @@ def _in_sight(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
     )
 
 
-def _mirrored(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+def _mirrored(rotation: ndarray, translation: ndarray) -> ndarray:
     """(n, 3, 3) rotations of markers that, seen from afar, look the same: leaning as much, the
     other way along the ray to their middle."""
     ray = normalise(translation)
@@ -241,10 +232,10 @@ def _mirrored(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
 
 
 def planar_poses(
-    corners_m: np.ndarray,
-    ideal: np.ndarray,
-    px_per_ideal: np.ndarray,
-    sigma_px: np.ndarray,
+    corners_m: ndarray,
+    ideal: ndarray,
+    px_per_ideal: ndarray,
+    sigma_px: ndarray,
 ) -> PlanarPoses:
     """Of n sightings, refined; none where no direction leads to a corner.
 
@@ -287,8 +278,8 @@ def planar_poses(
 
 
 def _refined(
-    rotation: np.ndarray, translation: np.ndarray, seen: Observed
-) -> list[np.ndarray]:
+    rotation: ndarray, translation: ndarray, seen: Observed
+) -> list[ndarray]:
     """Rotation, translation and the error in px, infinite for one out of sight."""
     rotation, translation, _ = refine_poses(
         rotation, translation, seen, iterations=80
@@ -298,7 +289,7 @@ def _refined(
     return [rotation, translation, error]
 
 
-def _two_best(owner: np.ndarray, poses: list[np.ndarray], n: int) -> np.ndarray:
+def _two_best(owner: ndarray, poses: list[ndarray], n: int) -> ndarray:
     """(n, 2) which of the poses, by owner, are best and best of those that differ from it;
     -1: none."""
     rotation, _, error = poses

@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.markers.detect import Record
 
@@ -21,7 +22,7 @@ _STANDS_OUT = 3.0
 _CALM = 0.6
 
 
-def thumbnail(luma: np.ndarray) -> np.ndarray:
+def thumbnail(luma: ndarray) -> ndarray:
     """(18, 32) uint8 of luma (h, w) uint8."""
     step = max(
         1,
@@ -31,7 +32,7 @@ def thumbnail(luma: np.ndarray) -> np.ndarray:
     return cv2.resize(thin, THUMBNAIL, interpolation=cv2.INTER_AREA)
 
 
-def unlikeness(thumbnails: Sequence[np.ndarray], apart: int) -> list[float]:
+def unlikeness(thumbnails: Sequence[ndarray], apart: int) -> list[float]:
     """Of each frame's thumbnail the dissimilarity to that of the frame so many before it, 0
     where there is none."""
     pairs = zip(thumbnails[apart:], thumbnails, strict=False)
@@ -39,7 +40,7 @@ def unlikeness(thumbnails: Sequence[np.ndarray], apart: int) -> list[float]:
     return found[: len(thumbnails)]
 
 
-def dissimilarity(a: np.ndarray, b: np.ndarray) -> float:
+def dissimilarity(a: ndarray, b: ndarray) -> float:
     """1 - correlation of two pictures of one size, 0 (same up to brightness and contrast) to
     2; flat pictures are compared by their level alone.
     """
@@ -83,7 +84,7 @@ def find_cuts(
     return cuts
 
 
-def shot_numbers(records: Sequence[Record]) -> np.ndarray:
+def shot_numbers(records: Sequence[Record]) -> ndarray:
     """(n,) number of the shot that each frame belongs to."""
     followed = [False]
     for a, b in pairwise(records):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.markers.corners import shared_px
 from arfx.analyse.markers.detect import Detection, Record, sides
@@ -99,7 +100,7 @@ class Sightings:
 
 
 def _sigma_factor(
-    misfit: np.ndarray, sigma: np.ndarray, frame: np.ndarray, marker: np.ndarray
+    misfit: ndarray, sigma: ndarray, frame: ndarray, marker: ndarray
 ) -> float:
     """Factor on the predicted sigma (n,), from how residuals (n, 4, 2) change from one
     sighting of a marker to its next.

@@ -15,6 +15,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.pose.chain import (
     Chain,
@@ -67,7 +68,7 @@ _UNSURE_RAD = (
 )
 
 
-def _density_over_time(chain: Chain, shot: np.ndarray) -> np.ndarray:
+def _density_over_time(chain: Chain, shot: ndarray) -> ndarray:
     """(1 or n - 1, 7) densities: those of the shot (groups,), and how they change with time."""
     n = len(chain.information)
     if n <= _WINDOW + _CONTEXT:
@@ -76,11 +77,11 @@ def _density_over_time(chain: Chain, shot: np.ndarray) -> np.ndarray:
         np.linspace(_WINDOW / 2, n - 1 - _WINDOW / 2, max(2, round(n / _WINDOW)))
     )
 
-    def of_window(centre: float) -> np.ndarray:
+    def of_window(centre: float) -> ndarray:
         reach = _WINDOW / 2 + _CONTEXT / 2
         part = chain.part(max(0, int(centre - reach)), int(centre + reach) + 1)
 
-        def total(trial: np.ndarray) -> float:
+        def total(trial: ndarray) -> float:
             return (
                 smooth_chain(part, trial[GROUP]).evidence
                 - _HOLD * np.abs(np.log10(trial / shot)).sum()
@@ -95,11 +96,11 @@ def _density_over_time(chain: Chain, shot: np.ndarray) -> np.ndarray:
 
 
 def _ascend(
-    total: Callable[[np.ndarray], float],
-    value: np.ndarray,
+    total: Callable[[ndarray], float],
+    value: ndarray,
     order: Iterable[int],
     step: float,
-) -> tuple[float, np.ndarray]:
+) -> tuple[float, ndarray]:
     """Total and values (groups,) when one group after the other has taken its best.
 
     step : factor between two trials of a value
@@ -121,7 +122,7 @@ def _ascend(
     return best, value
 
 
-def _density_of_shot(chain: Chain) -> np.ndarray:
+def _density_of_shot(chain: Chain) -> ndarray:
     """(groups,) one value each for a shot: the likelier of a marker that moves on its own
     and of a camera that shakes.
     """
@@ -133,7 +134,7 @@ def _density_of_shot(chain: Chain) -> np.ndarray:
         starts = np.linspace(0, n - _BLOCK, _BLOCKS).astype(int).tolist()
         blocks = [chain.part(a, a + _BLOCK) for a in starts]
 
-    def total(trial: np.ndarray) -> float:
+    def total(trial: ndarray) -> float:
         return sum(smooth_chain(b, trial[GROUP]).evidence for b in blocks)
 
     start = np.array([1e-3, 1e-3, 1e-3, 1e-3, LEAST])
@@ -151,12 +152,12 @@ def _density_of_shot(chain: Chain) -> np.ndarray:
 
 
 def smooth_poses(
-    rotation: np.ndarray,
-    translation: np.ndarray,
+    rotation: ndarray,
+    translation: ndarray,
     seen: Observed,
-    times_s: np.ndarray,
+    times_s: ndarray,
     strength: float = 1.0,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[ndarray, ndarray, ndarray, ndarray]:
     """Smooth n frames of one shot: rotation (n, 3, 3), translation (n, 3), covariance
     (n, 6, 6) of the left perturbation [rad, m] in the camera frame, and the learned noise
     (5,) by group, median over the shot.
@@ -188,8 +189,8 @@ def smooth_poses(
 
 
 def blended(
-    before: Sequence[np.ndarray], after: Sequence[np.ndarray], share: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    before: Sequence[ndarray], after: Sequence[ndarray], share: ndarray
+) -> tuple[ndarray, ndarray, ndarray]:
     """Rotations, translations and covariances of k frames between some (share (k,) 0) and
     others (1): the shortest rotation, and straight lines."""
     (rotation, translation, covariance), (turned, moved, covariance_after) = (
@@ -207,12 +208,12 @@ def blended(
 
 
 def _smooth_piece(
-    rotation: np.ndarray,
-    translation: np.ndarray,
+    rotation: ndarray,
+    translation: ndarray,
     seen: Observed,
-    times_s: np.ndarray,
+    times_s: ndarray,
     strength: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[ndarray, ndarray, ndarray, ndarray]:
     """As of smooth_poses."""
     on = seen.weight > 0
     centre = seen.points_m[on].mean(0)
@@ -246,11 +247,11 @@ def _smooth_piece(
 class _Path:
     """Poses of frames that are dt (n - 1,) s apart, and the problem linearised at them."""
 
-    rotation: np.ndarray
-    translation: np.ndarray
+    rotation: ndarray
+    translation: ndarray
     seen: Observed
-    dt: np.ndarray
-    centre: np.ndarray
+    dt: ndarray
+    centre: ndarray
 
     @cached_property
     def chain(self) -> Chain:
@@ -279,7 +280,7 @@ class _Path:
         least = least_density(information, firm)
         return Chain(information, pull, links, offset, firm, shake, least)
 
-    def iterated(self, density: np.ndarray, passes: int) -> _Path:
+    def iterated(self, density: ndarray, passes: int) -> _Path:
         """Smoothed and linearised anew, up to `passes` times."""
         path = self
         for _ in range(passes):
@@ -306,7 +307,7 @@ class _Path:
         variance = np.einsum("nii->ni", spread) * scale**2
         return float(np.sqrt(np.median(variance[:, :3].max(1))))
 
-    def likelihood(self, density: np.ndarray) -> float:
+    def likelihood(self, density: ndarray) -> float:
         """Log evidence with the true misfit at these poses in place of the linearised one's
         constant.
         """
@@ -319,15 +320,15 @@ class _Path:
 
 
 def _position(
-    rotation: np.ndarray, translation: np.ndarray, centre: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    rotation: ndarray, translation: ndarray, centre: ndarray
+) -> tuple[ndarray, ndarray]:
     """Centre in camera coordinates (n, 3) and as x/z, y/z, ln z."""
     p = rotation @ centre + translation
     z = np.maximum(p[:, 2], 1e-4)
     return p, np.stack([p[:, 0] / z, p[:, 1] / z, np.log(z)], -1)
 
 
-def _to_left(p: np.ndarray) -> np.ndarray:
+def _to_left(p: ndarray) -> ndarray:
     """(n, 6, 6) from a step in this module's axes to the left perturbation of the pose.
 
     p : (n, 3) centre in camera coordinates"""
@@ -340,11 +341,11 @@ def _to_left(p: np.ndarray) -> np.ndarray:
 
 
 def _apply_step(
-    rotation: np.ndarray,
-    translation: np.ndarray,
-    step: np.ndarray,
-    centre: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
+    rotation: ndarray,
+    translation: ndarray,
+    step: ndarray,
+    centre: ndarray,
+) -> tuple[ndarray, ndarray]:
     _, position = _position(rotation, translation, centre)
     position = position + step[:, 3:]
     z = np.exp(position[:, 2])
@@ -353,7 +354,7 @@ def _apply_step(
     return turned, p - turned @ centre
 
 
-def _shake(position: np.ndarray) -> np.ndarray:
+def _shake(position: ndarray) -> ndarray:
     """(n, 6, 6) covariance of a camera that turns by 1 rad^2 about its own x and y, seen at
     place (n, 3).
 

@@ -8,6 +8,7 @@ from statistics import median
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.job import Analysis
 from arfx.analyse.markers.detect import Record
@@ -141,10 +142,10 @@ def solve_poses(
 def smoothed(
     path: WorldPath,
     present: Sequence[tuple[int, int]],
-    times_s: np.ndarray,
+    times_s: ndarray,
     strength: float,
-    common_px: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[list[float]]]:
+    common_px: ndarray,
+) -> tuple[ndarray, ndarray, ndarray, list[list[float]]]:
     """The path over each interval of `present` frames, as it is where strength is 0: rotation
     (n, 3, 3), translation (n, 3), covariance (n, 6, 6) of every frame that is present; the
     noise learned of each interval.
@@ -184,7 +185,7 @@ def smoothed(
     return rotation, translation, covariance, noise
 
 
-def _conditions(path: WorldPath) -> np.ndarray:
+def _conditions(path: WorldPath) -> ndarray:
     """Condition number of every measured pose, each parameter in units of its precision."""
     on = path.measured
     info = information(

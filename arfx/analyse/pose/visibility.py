@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
@@ -23,7 +24,7 @@ _HULL_POINTS = 400
 
 
 def visible_intervals(
-    measured: np.ndarray, shot: np.ndarray, times_s: np.ndarray, max_gap_s: float
+    measured: ndarray, shot: ndarray, times_s: ndarray, max_gap_s: float
 ) -> list[tuple[int, int]]:
     """Half-open ranges of frames in which the object is present: from one measured frame to
     another of the same shot, with no gap between two measured frames longer than max_gap_s
@@ -36,7 +37,7 @@ def visible_intervals(
 
 
 def without_flickers(
-    present: Sequence[tuple[int, int]], measured: np.ndarray, shot: np.ndarray
+    present: Sequence[tuple[int, int]], measured: ndarray, shot: ndarray
 ) -> list[tuple[int, int]]:
     """The intervals without flickers: fewer than MIN_FRAMES measured frames with absence of
     the same shot on both sides.
@@ -53,8 +54,8 @@ def without_flickers(
 
 
 def opacities(
-    present: Sequence[tuple[int, int]], shot: np.ndarray, times_s: np.ndarray
-) -> np.ndarray:
+    present: Sequence[tuple[int, int]], shot: ndarray, times_s: ndarray
+) -> ndarray:
     """(n,) 0..1: 1 inside a stretch, ramping over FADE_S from and to an absence in the same
     shot.
 
@@ -88,8 +89,8 @@ def with_model(facts: Sequence[FrameFacts], scene: Scene) -> tuple[FrameFacts, .
 
 
 def jitter_px(
-    facts: Sequence[FrameFacts], points_m: np.ndarray, camera: Camera, raw: bool
-) -> tuple[np.ndarray, np.ndarray]:
+    facts: Sequence[FrameFacts], points_m: ndarray, camera: Camera, raw: bool
+) -> tuple[ndarray, ndarray]:
     """(frames,) root mean square, px, of the second difference over three successive frames
     of points' place in the picture, and the same of their place relative to the centre of
     the markers as measured: there the footage's own motion, which the object has to follow,
@@ -126,12 +127,12 @@ def jitter_px(
     return moved, relative
 
 
-def _rms(offsets_px: np.ndarray) -> float:
+def _rms(offsets_px: ndarray) -> float:
     """Of the lengths of offsets (n, 2), those that are not known left out."""
     return float(np.sqrt(2 * np.nanmean(offsets_px * offsets_px)))
 
 
-def _outline(points: np.ndarray) -> np.ndarray:
+def _outline(points: ndarray) -> ndarray:
     """Vertices of the convex hull; the points themselves where they are few or flat."""
     if len(points) <= _HULL_POINTS:
         return points
@@ -145,7 +146,7 @@ def _outline(points: np.ndarray) -> np.ndarray:
         return points
 
 
-def _seen_box(q: np.ndarray, camera: Camera) -> tuple[Rect, tuple[float, float]]:
+def _seen_box(q: ndarray, camera: Camera) -> tuple[Rect, tuple[float, float]]:
     """Box and depth range of points (n, 3) in camera coordinates.
 
     A point behind the camera or beyond the lens's fold says nothing about where the

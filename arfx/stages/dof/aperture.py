@@ -6,13 +6,14 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+from numpy import ndarray
 
 SHARP_PX = 0.5  # a disc of this radius lies within its own pixel
 _SUBROWS = 16  # lines of a pixel by which the area of a shape in it is known
 
 
 @lru_cache(maxsize=1024)
-def disc(radius: float, blades: int = 0, turn_deg: float = 0.0) -> np.ndarray:
+def disc(radius: float, blades: int = 0, turn_deg: float = 0.0) -> ndarray:
     """Fractions of a blur circle's light that pixels around its centre get.
 
     radius : px;  blades : 0 = round, else corners of the polygon, the first at turn_deg from x
@@ -40,8 +41,8 @@ def circumradius(blades: int) -> float:
 
 
 def chord(
-    y: np.ndarray, radius: float, blades: int, turn_deg: float
-) -> tuple[np.ndarray, np.ndarray]:
+    y: ndarray, radius: float, blades: int, turn_deg: float
+) -> tuple[ndarray, ndarray]:
     """Left and right end of the shape at heights y, px; left >= right where it does not reach."""
     if blades < 3:
         half = np.sqrt(np.maximum(radius**2 - y**2, 0.0))

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.compiled import FAST, line_kernel
 from arfx.core.parallel import parallel_rows
@@ -29,12 +30,12 @@ _WHITE_FROM = 0.9  # linear light; a pixel is clipped to the degree that it lies
 
 
 def blurred(
-    image: np.ndarray,
+    image: ndarray,
     layers: list[LightLayer],
     out: Rect,
     accuracy: Accuracy,
     params: DofParams,
-) -> np.ndarray:
+) -> ndarray:
     """(h, w, 3) of the rows of `out`, as wide as the first layer.
 
     image : (h, w, 3) the composite over the first layer's rectangle, kept where no light is spread
@@ -65,7 +66,7 @@ def blurred(
     return result
 
 
-def boosted(light: np.ndarray, boost: float) -> np.ndarray:
+def boosted(light: ndarray, boost: float) -> ndarray:
     """Clipped pixels brighter. light : (h, w, 4)"""
     if boost <= 0:
         return light

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.numerics import divide
 from arfx.stages.dof.aperture import SHARP_PX
@@ -16,7 +17,7 @@ from arfx.stages.dof.optics import CircleOfConfusion
 from arfx.stages.push_pull import fill_unknown
 
 
-def dioptre_of(depth_m: np.ndarray) -> np.ndarray:
+def dioptre_of(depth_m: ndarray) -> ndarray:
     """(h, w) float32, 1/m; 0 where the depth is no distance."""
     with np.errstate(all="ignore"):
         known = np.isfinite(depth_m) & (depth_m > 0)
@@ -24,8 +25,8 @@ def dioptre_of(depth_m: np.ndarray) -> np.ndarray:
 
 
 def depth_layers(
-    light: np.ndarray, dioptre: np.ndarray, coc: CircleOfConfusion
-) -> list[tuple[np.ndarray, np.ndarray]]:
+    light: ndarray, dioptre: ndarray, coc: CircleOfConfusion
+) -> list[tuple[ndarray, ndarray]]:
     """Layers of the real scene, farthest first, the first without holes.
 
     light : (h, w, 4) of the scene, sharp, coverage 1;  dioptre : (h, w) float32, 1/m
@@ -47,13 +48,13 @@ def depth_layers(
     return out
 
 
-def _part(light: np.ndarray, where: np.ndarray) -> np.ndarray:
+def _part(light: ndarray, where: ndarray) -> ndarray:
     return cv2.copyTo(light, where.view(np.uint8), np.zeros_like(light))
 
 
 def _without_holes(
-    light: np.ndarray, radius: np.ndarray, known: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    light: ndarray, radius: ndarray, known: ndarray
+) -> tuple[ndarray, ndarray]:
     if known.all():
         return light, radius
     values = light.copy()

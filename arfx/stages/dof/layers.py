@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
@@ -38,8 +39,8 @@ class LightLayer:
     radius : (h, w) float32, px, of its blur, also where nothing is covered"""
 
     rect: Rect
-    light: np.ndarray
-    radius: np.ndarray
+    light: ndarray
+    radius: ndarray
 
 
 def depth_range(facts: FrameFacts) -> tuple[float, float]:
@@ -65,7 +66,7 @@ def layers_of_light(
     now: Layers,
     facts: FrameFacts,
     real: Real,
-    grid: np.ndarray,
+    grid: ndarray,
     coc: CircleOfConfusion,
     params: DofParams,
 ) -> list[LightLayer]:
@@ -83,7 +84,7 @@ def real_layers(
     now: Layers,
     facts: FrameFacts,
     real: Real,
-    grid: np.ndarray,
+    grid: ndarray,
     coc: CircleOfConfusion,
     params: DofParams,
 ) -> list[LightLayer]:
@@ -96,7 +97,7 @@ def real_layers(
     return _planes(rect, behind, real, grid, coc)
 
 
-def behind_object(now: Layers, facts: FrameFacts) -> np.ndarray:
+def behind_object(now: Layers, facts: FrameFacts) -> ndarray:
     """(h, w, 4) the real scene under its shadow, without the object; coverage 1."""
     out = cv2.cvtColor(now[Layer.IMAGE], cv2.COLOR_RGB2RGBA)
     box = facts.raster_box.clip(now.rect)
@@ -116,9 +117,9 @@ def behind_object(now: Layers, facts: FrameFacts) -> np.ndarray:
 
 def _planes(
     rect: Rect,
-    behind: np.ndarray,
+    behind: ndarray,
     real: Real,
-    grid: np.ndarray,
+    grid: ndarray,
     coc: CircleOfConfusion,
 ) -> list[LightLayer]:
     """The endless plane, and planes of limited size before it."""
@@ -137,7 +138,7 @@ def _planes(
 
 
 def _measured(
-    rect: Rect, behind: np.ndarray, dioptre: np.ndarray, coc: CircleOfConfusion
+    rect: Rect, behind: ndarray, dioptre: ndarray, coc: CircleOfConfusion
 ) -> list[LightLayer]:
     (light, radius), *fronts = depth_layers(behind, dioptre, coc)
     before = (_occluder(rect, rect, *front) for front in fronts)
@@ -146,7 +147,7 @@ def _measured(
 
 def _object(
     now: Layers, facts: FrameFacts, coc: CircleOfConfusion
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[ndarray, ndarray]:
     """Light and radius of the virtual object; sharp where its depth is not a distance."""
     depth, (near, far) = now[Layer.DEPTH], depth_range(facts)
     known = depth > 0
@@ -162,9 +163,7 @@ def _object(
     return light, radius
 
 
-def _occluder(
-    area: Rect, box: Rect, light: np.ndarray, radius: np.ndarray
-) -> LightLayer:
+def _occluder(area: Rect, box: Rect, light: ndarray, radius: ndarray) -> LightLayer:
     """A layer over as much of `area` as it and its blur take. light, radius : over `box`"""
     covered = box_of(light[..., 3])
     light, radius = light[covered.slices], radius[covered.slices]
@@ -184,9 +183,7 @@ def _occluder(
     return LightLayer(rect, cv2.merge(list(padded)), around)
 
 
-def _radius_around(
-    rect: Rect, coverage: np.ndarray, radius: np.ndarray
-) -> np.ndarray:
+def _radius_around(rect: Rect, coverage: ndarray, radius: ndarray) -> ndarray:
     """(h, w) px: the mean radius of the nearest tile that anything covers, linear between tiles.
 
     Tiles lie on the frame's grid, so a pixel gets the same from any rectangle that holds what is
@@ -207,7 +204,7 @@ def _radius_around(
     return whole[inner]
 
 
-def box_of(mask: np.ndarray) -> Rect:
+def box_of(mask: ndarray) -> Rect:
     """Smallest rectangle that holds what is not 0."""
     x, y, width, height = cv2.boundingRect((mask != 0).view(np.uint8))
     return Rect(x, y, x + width, y + height)

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.camera import Camera
 from arfx.core.compiled import kernel
@@ -55,7 +56,7 @@ class RayScene:
 
 
 @lru_cache(maxsize=4)
-def lens_points(count: int, blades: int, turn_deg: float) -> np.ndarray:
+def lens_points(count: int, blades: int, turn_deg: float) -> ndarray:
     """(count, 4) places on a lens of the area of the unit disc, and within a pixel, 0..1. count :
     a power of two"""
     from scipy.stats.qmc import Sobol
@@ -87,11 +88,11 @@ class LensView:
     coc: CircleOfConfusion
     params: DofParams
     scene: RayScene
-    sharp: np.ndarray
-    behind: np.ndarray
+    sharp: ndarray
+    behind: ndarray
     real: Real | None
 
-    def seen(self) -> tuple[np.ndarray, np.ndarray]:
+    def seen(self) -> tuple[ndarray, ndarray]:
         """Fraction of the lens that sees the object (h, w, 1), and what its light adds (h, w, 3),
         with the correction of what passes by it."""
         rect, blades = self.now.rect, self.params.blades
@@ -117,7 +118,7 @@ class LensView:
         parallel_map(trace, range(box.y0, box.y1, rows))
         return fraction, colour
 
-    def trace(self, part: Rect, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def trace(self, part: Rect, points: ndarray) -> tuple[ndarray, ndarray]:
         """`seen` of the n pixels of a rectangle, (n, 1) and (n, 3). points : (k, 4) of
         `lens_points`, the lens in metres"""
         behind = self.behind[part.slices_in(self.now.rect)].reshape(-1, 3)
@@ -147,10 +148,10 @@ class LensView:
 
     def _add(
         self,
-        sums: np.ndarray,
-        active: np.ndarray,
-        corners: np.ndarray,
-        points: np.ndarray,
+        sums: ndarray,
+        active: ndarray,
+        corners: ndarray,
+        points: ndarray,
     ) -> None:
         """More rays of the pixels `active`, from these points."""
         n, pose, now = len(points), self.facts.pose, self.now
@@ -184,7 +185,7 @@ class LensView:
             sums[active[mixed], 8:11] += behind.sum(1)
             sums[active[mixed], 11] += n * behind.var(1).max(1)
 
-    def _behind(self, rays: np.ndarray, points: np.ndarray, real: Real) -> np.ndarray:
+    def _behind(self, rays: ndarray, points: ndarray, real: Real) -> ndarray:
         """Colours (k, n, 3) of the real scene that rays (k, n, 3), in the camera's axes, would
         meet."""
         form, lens = real.base.forms[2], points[:, :2]
@@ -202,11 +203,11 @@ class LensView:
 
 
 def _aim(
-    active: np.ndarray,
-    corners: np.ndarray,
-    points: np.ndarray,
+    active: ndarray,
+    corners: ndarray,
+    points: ndarray,
     focus: float,
-) -> np.ndarray:
+) -> ndarray:
     """(pixels, points, 2) directions, z = 1. corners : (h + 1, w + 1, 2) those of the pixels'
     corners"""
     y, x = np.divmod(active, corners.shape[1] - 1)

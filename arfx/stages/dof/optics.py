@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.facts import FrameFacts
 from arfx.core.lens import Lens
@@ -38,7 +39,7 @@ class CircleOfConfusion:
     limit_px: float
     coc_mm_per_px: float
 
-    def radius_px(self, dioptre: np.ndarray | float) -> np.ndarray:
+    def radius_px(self, dioptre: ndarray | float) -> ndarray:
         """Of any shape, in the type of `dioptre`."""
         distance = np.abs(self.focus - np.asarray(dioptre))
         return np.minimum(self.px_per_dioptre * distance, self.limit_px)

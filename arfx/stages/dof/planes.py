@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.camera import Camera
 from arfx.core.numerics import EPS_DEPTH_M, divide
@@ -27,7 +28,7 @@ _SAME_PLANE = 0.1
 
 
 @lru_cache(maxsize=4)
-def direction_grid(camera: Camera) -> np.ndarray:
+def direction_grid(camera: Camera) -> ndarray:
     """(gh, gw, 3) directions as `viewing.direction_grid`; where there is none, the axis."""
     directions = viewing.direction_grid(camera)
     known = np.isfinite(directions).all(-1, keepdims=True)
@@ -42,15 +43,15 @@ class Plane:
         dioptre
     half_m : half its side; 0 = endless"""
 
-    forms: np.ndarray
+    forms: ndarray
     half_m: float
 
-    def positions(self, grid: np.ndarray) -> np.ndarray:
+    def positions(self, grid: ndarray) -> ndarray:
         """(gh, gw, 3) float32 on the nodes of a direction grid, `forms` times the directions; the
         dioptre is <= 0 where the plane is not met."""
         return np.ascontiguousarray(grid @ self.forms.T, np.float32)
 
-    def within(self, positions: np.ndarray, sides: float = 1.0) -> np.ndarray:
+    def within(self, positions: ndarray, sides: float = 1.0) -> ndarray:
         """(...) bool, where a square of `sides` times the plane's side is met. positions : (...,
         3)"""
         x, y, dioptre = np.moveaxis(positions, -1, 0)
@@ -83,16 +84,16 @@ class Real:
     base: Plane
     finite_planes: tuple[Plane, ...]
     background: float
-    tiles: np.ndarray | None = None
+    tiles: ndarray | None = None
 
-    def dioptres(self, grid: np.ndarray, rect: Rect | None = None) -> np.ndarray:
+    def dioptres(self, grid: ndarray, rect: Rect | None = None) -> ndarray:
         """(gh, gw) float32 of the endless plane and what is behind it, on the nodes of the grid;
         (h, w) of the pixels of `rect`, if there is one."""
         nodes = self.base.positions(grid)[..., 2]
         own = nodes if rect is None else between_nodes(nodes, rect)
         return np.maximum(own, np.float32(self.background))
 
-    def dioptre_range(self, grid: np.ndarray) -> tuple[float, float]:
+    def dioptre_range(self, grid: ndarray) -> tuple[float, float]:
         """Least and greatest dioptre in the picture."""
         if self.tiles is not None:
             return float(self.tiles[0].min()), float(self.tiles[1].max())

@@ -14,6 +14,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.compiled import kernel
 from arfx.core.facts import FrameFacts
@@ -42,7 +43,7 @@ def render(
     coc: CircleOfConfusion,
     params: DofParams,
     prepared: RayScene,
-) -> np.ndarray:
+) -> ndarray:
     """IMAGE (h, w, 3) of a frame with a pose."""
     grid = direction_grid(scene.camera)
     layers = real_layers(now, facts, real, grid, coc, params)
@@ -68,8 +69,8 @@ def render(
 
 
 def _blurred(
-    layers: list[LightLayer], real: Real, sharp: np.ndarray, params: DofParams
-) -> np.ndarray:
+    layers: list[LightLayer], real: Real, sharp: ndarray, params: DofParams
+) -> ndarray:
     """(h, w, 3) layers through the lens, one over the other."""
     out, rect = sharp.copy(), layers[0].rect
     for layer in layers:
@@ -87,7 +88,7 @@ def _blurred(
     return out
 
 
-def _slope(radius: np.ndarray) -> np.ndarray:
+def _slope(radius: ndarray) -> ndarray:
     """(h, w, 2) of radii (h, w) px, along y and x, as a fraction of them, 1/px."""
     if min(radius.shape) < 2:
         return np.zeros((*radius.shape, 2))
@@ -96,12 +97,12 @@ def _slope(radius: np.ndarray) -> np.ndarray:
 
 
 def _scattered(
-    colour: np.ndarray,
-    weight: np.ndarray,
-    radius: np.ndarray,
-    slope: np.ndarray,
+    colour: ndarray,
+    weight: ndarray,
+    radius: ndarray,
+    slope: ndarray,
     params: DofParams,
-) -> np.ndarray:
+) -> ndarray:
     """(h, w, 4) sums of light and weight. radius (h, w), slope : of `_slope`"""
     light = boosted(np.dstack([colour, np.ones_like(weight)]), params.highlight_boost)
     light *= weight[..., None]
@@ -113,7 +114,7 @@ def _scattered(
     reach = max(int(np.abs(e[:, :2]).max()) for e in ends) + 2
     (h, w), table = radius.shape, np.concatenate(ends)
 
-    def rows(top: int, bottom: int) -> np.ndarray:
+    def rows(top: int, bottom: int) -> ndarray:
         marks = np.zeros((bottom - top, w + 2 * reach, 4))
         _scatter(marks, top, light, slope, which.reshape(h, w), table, first, reach)
         return np.cumsum(np.cumsum(marks, 1), 1)[:, reach : reach + w]
@@ -122,7 +123,7 @@ def _scattered(
 
 
 @lru_cache(maxsize=4096)
-def _disc_ends(radius: float, blades: int, turn_deg: float) -> np.ndarray:
+def _disc_ends(radius: float, blades: int, turn_deg: float) -> ndarray:
     """(n, 4), each dy, dx, f, m: f summed twice along a row is the fraction of the shape in a
     pixel, m that times dx."""
     area = disc(radius, blades, turn_deg).astype(float)
@@ -156,6 +157,6 @@ def _scatter(
                         marks[j, i, c] += fraction * light[y, x, c]
 
 
-def _normal(sums: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
+def _normal(sums: ndarray, otherwise: ndarray) -> ndarray:
     known = sums[..., 3:] > _LEAST_WEIGHT
     return np.where(known, divide(sums[..., :3], sums[..., 3:]), otherwise)

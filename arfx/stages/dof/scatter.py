@@ -17,6 +17,7 @@ from functools import lru_cache, partial
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.compiled import FAST, line_kernel
 from arfx.core.parallel import parallel_map
@@ -62,13 +63,13 @@ class Accuracy:
 
 
 def scattered(
-    light: np.ndarray,
-    radius: np.ndarray,
+    light: ndarray,
+    radius: ndarray,
     corner: tuple[int, int],
     accuracy: Accuracy,
     blades: int,
     turn_deg: float,
-) -> np.ndarray:
+) -> ndarray:
     """(h, w, c) a layer's light, spread.
 
     light : (h, w, c) float32, 4 channels or more;  radius : (h, w) float32 px
@@ -102,11 +103,11 @@ def scattered(
 
 
 def _spread(
-    light: np.ndarray,
-    radius: np.ndarray,
-    extents: tuple[np.ndarray, np.ndarray],
-    of: tuple[np.ndarray, np.ndarray],
-) -> tuple[int, np.ndarray]:
+    light: ndarray,
+    radius: ndarray,
+    extents: tuple[ndarray, ndarray],
+    of: tuple[ndarray, ndarray],
+) -> tuple[int, ndarray]:
     """(first row, light (n, columns, c)) of a bin on the cells of its level.
 
     extents : least and greatest squared radius of each row
@@ -125,9 +126,7 @@ def _spread(
     return begin, cv2.filter2D(share, -1, turned, borderType=cv2.BORDER_CONSTANT)
 
 
-def _padded(
-    a: np.ndarray, above: int, below: int, left: int, right: int
-) -> np.ndarray:
+def _padded(a: ndarray, above: int, below: int, left: int, right: int) -> ndarray:
     """Light (h, w, c) with nothing around it, or radii (h, w) with those of the border."""
     if not (above or below or left or right):
         return a
@@ -135,21 +134,19 @@ def _padded(
     return np.pad(a, sides, "edge") if a.ndim == 2 else np.pad(a, (*sides, (0, 0)))
 
 
-def _halved(a: np.ndarray) -> np.ndarray:
+def _halved(a: ndarray) -> ndarray:
     """Means over 2 x 2."""
     even = _padded(a, 0, a.shape[0] % 2, 0, a.shape[1] % 2)
     size = even.shape[1] // 2, even.shape[0] // 2
     return cv2.resize(even, size, interpolation=cv2.INTER_AREA)
 
 
-def _doubled(a: np.ndarray) -> np.ndarray:
+def _doubled(a: ndarray) -> ndarray:
     size = 2 * a.shape[1], 2 * a.shape[0]
     return cv2.resize(a, size, interpolation=cv2.INTER_LINEAR)
 
 
-def cell_disc(
-    radius_px: float, level: int, blades: int, turn_deg: float
-) -> np.ndarray:
+def cell_disc(radius_px: float, level: int, blades: int, turn_deg: float) -> ndarray:
     """The disc on cells of 2^level px that is as wide, after all else that blurs, as this one on
     pixels.
 
@@ -164,7 +161,7 @@ def cell_disc(
 
 
 @lru_cache(maxsize=16)
-def _variances(blades: int, turn_deg: float) -> np.ndarray:
+def _variances(blades: int, turn_deg: float) -> ndarray:
     """Of discs on the grid, by radius in steps of _RADIUS_STEP, cells^2 on an axis."""
     out = []
     for step in range(round(_LARGEST_CELLS / _RADIUS_STEP)):

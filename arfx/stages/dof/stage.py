@@ -18,6 +18,7 @@ from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
@@ -129,7 +130,7 @@ class Dof(Stage):
             return RayScene(scene)
         return direction_grid(scene.camera)
 
-    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, ndarray | Pixels]:
         now, facts, scene = view.layers, view.facts, view.scene
         if not facts.present or unknown_lens(self.params, facts):
             return {Layer.IMAGE: now[Layer.IMAGE].copy()}
@@ -155,7 +156,7 @@ class Dof(Stage):
         return circle_of_confusion(self.params, facts, scene), real
 
 
-def blurred_rect(real: Real, grid: np.ndarray, coc: CircleOfConfusion) -> Rect:
+def blurred_rect(real: Real, grid: ndarray, coc: CircleOfConfusion) -> Rect:
     """Rectangle of the tiles with a blur circle of 1 px or more, and what their discs reach."""
     if real.tiles is not None:
         # the largest circle of a range is at one of its ends

@@ -12,6 +12,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.compiled import FAST, line_kernel
 from arfx.core.vectors import dot, minus, mixed, shifted, vector
@@ -30,19 +31,19 @@ class Background(NamedTuple):
     textures (p, texels, 3) : mips of all levels in one row;  mips (levels, 2) : offset, side
     environment : with the turn from the anchor's axes"""
 
-    axes: np.ndarray
-    extents: np.ndarray
-    textures: np.ndarray
-    mips: np.ndarray
+    axes: ndarray
+    extents: ndarray
+    textures: ndarray
+    mips: ndarray
     environment: Environment
 
 
 def behind_object(
     background: Background,
-    places: np.ndarray,
-    directions: np.ndarray,
-    roughness: np.ndarray,
-) -> np.ndarray:
+    places: ndarray,
+    directions: ndarray,
+    roughness: ndarray,
+) -> ndarray:
     """(m, 3) radiance from places (m, 3), metres, about unit directions (m, 3), as surfaces
     of roughness (m,) mirror it.
     """

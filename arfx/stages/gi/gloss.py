@@ -5,13 +5,14 @@ Source: Karis 2013 (split sum); docs/methods/gi.md#gloss."""
 from __future__ import annotations
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.stages.light.split_sum import COSINES, ROUGHNESSES, split_sum
 
 _BEND = 0.5  # normals of neighbours that differ by more lie on two sides of an edge
 
 
-def mirror_tangent(roughness: np.ndarray | float) -> np.ndarray:
+def mirror_tangent(roughness: ndarray | float) -> ndarray:
     """Tangent of the half-angle of a cone about the mirrored direction that blurs like a
     GGX lobe of width roughness^2.
 
@@ -25,8 +26,8 @@ def mirror_tangent(roughness: np.ndarray | float) -> np.ndarray:
 
 
 def gloss_weights(
-    roughness: np.ndarray | float, cosine: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    roughness: ndarray | float, cosine: ndarray
+) -> tuple[ndarray, ndarray]:
     """(a, b), each (n,): F0 x a + b of what lies about the mirrored direction is reflected.
 
     cosine (n,) : of the view
@@ -43,8 +44,8 @@ def gloss_weights(
 
 
 def widened_roughness(
-    roughness: np.ndarray, coverage: np.ndarray, normal: np.ndarray
-) -> np.ndarray:
+    roughness: ndarray, coverage: ndarray, normal: ndarray
+) -> ndarray:
     """(h, w) roughness whose lobe is as wide as what one pixel of the curved surface
     mirrors, if that is more than its own.
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.camera import Camera
 from arfx.core.cube import bordered
@@ -53,7 +54,7 @@ def _evenly(things: Sequence[T]) -> list[T]:
     return [things[k] for k in sorted(numbers) if things]
 
 
-def seam_ratio(faces: np.ndarray) -> float:
+def seam_ratio(faces: ndarray) -> float:
     """Median step across the edges of a cube (6, n, n, 3) over that within its faces next
     to them; 1 = no seam.
 

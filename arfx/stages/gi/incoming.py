@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from numpy import ndarray
 from numpy.typing import ArrayLike
 
 from arfx.core.cube import CubeMap, SeenEnvironment, face_directions, look_up
@@ -50,11 +51,11 @@ class IncomingLight:
 
     planes: Planes
     shown: PlatePicture
-    picture: np.ndarray
-    mean: np.ndarray
+    picture: ndarray
+    mean: ndarray
     environment: Environment
 
-    def change(self, mean: np.ndarray, left: np.ndarray) -> np.ndarray:
+    def change(self, mean: ndarray, left: ndarray) -> ndarray:
         """(p n^2, 3) radiance of the picture on the planes less `mean` (3,), where the object
         leaves that share.
 
@@ -66,7 +67,7 @@ class IncomingLight:
         ]
         return np.asarray(((np.stack(seen) - mean) * left).reshape(-1, 3))
 
-    def background(self, left: np.ndarray) -> Background:
+    def background(self, left: ndarray) -> Background:
         """As mirrors see it, the planes darkened and lit by the object.
 
         left (p, n, n, 3) : of `Indirect`
@@ -111,7 +112,7 @@ def incoming_light(
     )
 
 
-def sky_radiance(facts: FrameFacts, scene: Scene, light: Light) -> np.ndarray:
+def sky_radiance(facts: FrameFacts, scene: Scene, light: Light) -> ndarray:
     """(6 SKY^2, 3) of the surroundings as matt surfaces see them, the anchor's axes, as
     `sky_texels` numbers them.
     """
@@ -143,7 +144,7 @@ def in_steps(facts: FrameFacts, light: Light) -> FrameFacts:
     )
 
 
-def mean_in_steps(mean: np.ndarray) -> np.ndarray:
+def mean_in_steps(mean: ndarray) -> ndarray:
     """The planes' mean radiance (3,), as `in_steps` has the light."""
     return _powers(mean, _PLANE_STEP)
 
@@ -177,11 +178,11 @@ def _axes_in_steps(found: SeenEnvironment | CubeMap) -> tuple[float, ...] | None
     )
 
 
-def _nearest(values: ArrayLike, step: float) -> np.ndarray:
+def _nearest(values: ArrayLike, step: float) -> ndarray:
     return np.asarray(np.round(np.asarray(values, float) / step) * step)
 
 
-def _powers(values: ArrayLike, step: float) -> np.ndarray:
+def _powers(values: ArrayLike, step: float) -> ndarray:
     """The nearest power of e^step; 0 up to 1e-6."""
     a = np.asarray(values, float)
     return np.where(
@@ -189,9 +190,7 @@ def _powers(values: ArrayLike, step: float) -> np.ndarray:
     )
 
 
-def _plane_mean(
-    picture: np.ndarray, known: np.ndarray, otherwise: np.ndarray
-) -> np.ndarray:
+def _plane_mean(picture: ndarray, known: ndarray, otherwise: ndarray) -> ndarray:
     """(3,) mean radiance of the first plane near the object; `otherwise` if unknown."""
     edge = picture.shape[1] // _FAR_SHARE
     weight = known[0, edge:-edge, edge:-edge]

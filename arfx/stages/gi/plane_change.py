@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.layers import Layer, Layers
 from arfx.core.numerics import divide, normalise
@@ -24,8 +25,8 @@ from arfx.stages.light.planes import SHOWS, Planes, on_plane, warped
 from arfx.stages.light.transport import Indirect
 from arfx.stages.viewing import between_nodes
 
-Rows = tuple[np.ndarray, np.ndarray]  # rows and columns of some pixels
-SeenPlaces = tuple[int, Rows, np.ndarray, np.ndarray, np.ndarray]
+Rows = tuple[ndarray, ndarray]  # rows and columns of some pixels
+SeenPlaces = tuple[int, Rows, ndarray, ndarray, ndarray]
 
 DARKEST = np.float32(0.002)  # radiance below which a pixel is no base for a ratio
 # of the distance: measured depth that is off by less lies on the plane; by twice that, not
@@ -36,7 +37,7 @@ _OTHER_SIDE = 192  # texels of a plane that the object does not stand on
 _RIM = 0.85  # share of a plane's texture from which on the change fades out
 
 
-def measured(layers: Layers) -> np.ndarray:
+def measured(layers: Layers) -> ndarray:
     """(h, w) the layer REAL_DEPTH; (0, 0) where the job has none."""
     if (
         layers.extent(Layer.REAL_DEPTH).empty
@@ -46,14 +47,14 @@ def measured(layers: Layers) -> np.ndarray:
     return np.array(layers[Layer.REAL_DEPTH], np.float32, order="C")
 
 
-def plane_pose(axes: np.ndarray) -> Pose:
+def plane_pose(axes: ndarray) -> Pose:
     """The plane's own axes from the anchor's. axes (4, 3) : of `Planes`"""
     rotation = np.asarray(axes[1:], float)
     return Pose(rotation, -rotation @ np.asarray(axes[0], float))
 
 
 def change_textures(
-    light: Indirect, hidden: np.ndarray, planes: Planes, soft: Sequence[PlaneTexture]
+    light: Indirect, hidden: ndarray, planes: Planes, soft: Sequence[PlaneTexture]
 ) -> list[list[PlaneTexture]]:
     """Of each plane, textures (3, rows, columns) that add up: share of all the plane's light
     that the object adds.
@@ -91,7 +92,7 @@ def change_textures(
     return out
 
 
-def _even_picture(half_m: float, middle_m: np.ndarray) -> PlaneTexture:
+def _even_picture(half_m: float, middle_m: ndarray) -> PlaneTexture:
     """Nothing, about a place of the plane."""
     scale = (_OTHER_SIDE - 1) / (2 * half_m)
     corner = (_OTHER_SIDE - 1) / 2 - scale * middle_m
@@ -99,7 +100,7 @@ def _even_picture(half_m: float, middle_m: np.ndarray) -> PlaneTexture:
     return PlaneTexture(np.zeros((_OTHER_SIDE, _OTHER_SIDE), np.float32), matrix)
 
 
-def sampled(texels: np.ndarray, places: np.ndarray) -> np.ndarray:
+def sampled(texels: ndarray, places: ndarray) -> ndarray:
     """(h, w, c) of a warped texture (side, side, c) at places (h, w, 2) in half sides from
     its middle.
     """
@@ -112,9 +113,9 @@ def sampled(texels: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 
 def add_change(
-    shadow: np.ndarray,
+    shadow: ndarray,
     layers: Layers,
-    grid: np.ndarray,
+    grid: ndarray,
     anchor_from_camera: Pose,
     planes: Planes,
     textures: Sequence[Sequence[PlaneTexture]],
@@ -139,8 +140,8 @@ def add_change(
 
 
 def shown_planes(
-    layers: Layers, grid: np.ndarray, anchor_from_camera: Pose, planes: Planes
-) -> list[np.ndarray]:
+    layers: Layers, grid: ndarray, anchor_from_camera: Pose, planes: Planes
+) -> list[ndarray]:
     """(h, w) of each plane: is it what a pixel shows, 0..1; of a lone one wherever it is in view.
     What was measured and is on none shows none."""
     real, rect = measured(layers), layers.rect
@@ -164,7 +165,7 @@ def shown_planes(
 
 
 def seen_places(
-    view: View, layers: Layers, grid: np.ndarray, planes: Planes
+    view: View, layers: Layers, grid: ndarray, planes: Planes
 ) -> Iterator[SeenPlaces]:
     """Of each plane that the camera is before: its number, and of the pixels (n,) over the
     layers' rectangle that show it: rows and columns, share, and unit viewing direction and
@@ -183,7 +184,7 @@ def seen_places(
         yield k, (row, column), shares[k][row, column], d, places
 
 
-def visible_radius_m(light: Indirect, planes: Planes, positions: np.ndarray) -> float:
+def visible_radius_m(light: Indirect, planes: Planes, positions: ndarray) -> float:
     """Distance from the planes' origins beyond which no texel's change shows.
 
     positions (p, side, side, 3) : of the texels"""

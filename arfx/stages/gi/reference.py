@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.layers import Layer
 from arfx.core.noise import noise
@@ -36,7 +37,7 @@ PICTURE_TEXELS = 128  # a side, of what the picture does not show of a plane
 BATCH = 1 << 14  # pixels at once: bounds memory
 DIMENSIONS = BOUNCES * NUMBERS
 
-Draw = Callable[[np.ndarray], np.ndarray]
+Draw = Callable[[ndarray], ndarray]
 
 
 def trace_frame(
@@ -48,7 +49,7 @@ def trace_frame(
     strength: float,
     gloss: tuple[float, float],
     mirror: Rect,
-) -> Mapping[Layer, np.ndarray]:
+) -> Mapping[Layer, ndarray]:
     """VIRTUAL and SHADOW with indirect light. visible_rect : pixels of the picture that are looked
     at;  disc : planes' pixels
     gloss : of the planes, share mirrored seen from above, and roughness
@@ -91,7 +92,7 @@ def trace_frame(
     return {Layer.VIRTUAL: virtual, Layer.SHADOW: np.maximum(shadow, 0)}
 
 
-def sobol(samples: int) -> np.ndarray:
+def sobol(samples: int) -> ndarray:
     """(samples, DIMENSIONS) of a Sobol sequence: even where their number is a power of two."""
     from scipy.stats import qmc  # takes a second to import
 
@@ -100,22 +101,20 @@ def sobol(samples: int) -> np.ndarray:
     return np.asarray(sequence.random_base2(power)[:samples])
 
 
-def mask_of(rect: Rect, part: Rect) -> np.ndarray:
+def mask_of(rect: Rect, part: Rect) -> ndarray:
     """(h, w) bool: pixels of a rectangle in a part."""
     out = np.zeros((rect.height, rect.width), bool)
     out[part.clip(rect).slices_in(rect)] = True
     return out
 
 
-def object_mask(view: View, part: Rect) -> np.ndarray:
+def object_mask(view: View, part: Rect) -> ndarray:
     """(h, w) bool: pixels of a part that show the object's surface."""
     lengths = np.linalg.norm(view[Layer.NORMAL], axis=-1)
     return mask_of(view.rect, part) & (view[Layer.COVERAGE] > 0) & (lengths > 1e-3)
 
 
-def object_points(
-    view: View, rows: Rows
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def object_points(view: View, rows: Rows) -> tuple[ndarray, ndarray, ndarray]:
     """(n, 3) each, anchor axes: position, metres, unit normal, and unit direction to the camera of
     what pixels show of the object."""
     anchor = view.scene.world_from_anchor.inverse()
@@ -131,9 +130,9 @@ class Pixels:
 
     view: View
     tracer: Tracer
-    sequence: np.ndarray
+    sequence: ndarray
 
-    def object_light(self, rows: Rows) -> np.ndarray:
+    def object_light(self, rows: Rows) -> ndarray:
         """(n, 3) indirect light that the object sends to the camera."""
         names = Layer.COVERAGE, Layer.ALBEDO, Layer.MATERIAL
         coverage, albedo, material = (self.view[n][rows].astype(float) for n in names)
@@ -145,7 +144,7 @@ class Pixels:
         draw = partial(self.tracer.light, start, lobes, False)
         return self._mean(draw, rows) * coverage[:, None]
 
-    def plane_change(self, plane: int, rows: Rows, places: np.ndarray) -> np.ndarray:
+    def plane_change(self, plane: int, rows: Rows, places: ndarray) -> ndarray:
         """(n, 3) change of a plane's light by the object, as a share of it. places (n, 3) : of
         `seen_places`"""
         tracer, alone = self.tracer, self.tracer.plane_light[plane]
@@ -163,10 +162,10 @@ class Pixels:
         self,
         plane: int,
         rows: Rows,
-        places: np.ndarray,
-        directions: np.ndarray,
+        places: ndarray,
+        directions: ndarray,
         gloss: tuple[float, float],
-    ) -> np.ndarray:
+    ) -> ndarray:
         """(n, 3) what a plane's mirror image of the object changes, as a share of the picture.
 
         directions (n, 3) : of `seen_places`"""
@@ -182,7 +181,7 @@ class Pixels:
         # the picture cannot lose more than it shows
         return np.maximum(self._mean(draw, rows), -plate) / plate
 
-    def _mean(self, draw: Draw, rows: Rows) -> np.ndarray:
+    def _mean(self, draw: Draw, rows: Rows) -> ndarray:
         """(n, 3) of all samples of some pixels. draw : one, of numbers (n, BOUNCES, NUMBERS)"""
         (row, column), rect, count = rows, self.view.rect, len(rows[0])
         band = rect._replace(y0=rect.y0 + int(row[0]), y1=rect.y0 + int(row[-1]) + 1)

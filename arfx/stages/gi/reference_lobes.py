@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.numerics import divide, normalise
 from arfx.core.sampling import frame_about
@@ -31,32 +32,32 @@ class Reflected(NamedTuple):
     wide (k, 3) : as `Environment.radiance` takes it: 1 of what is scattered, the lobe's width of
         what is mirrored"""
 
-    total: np.ndarray
-    density: np.ndarray
-    wide: np.ndarray
+    total: ndarray
+    density: ndarray
+    wide: ndarray
 
 
-def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def dot(a: ndarray, b: ndarray) -> ndarray:
     """(k, 1) of vectors (k, 3)."""
     return np.asarray((a * b).sum(-1, keepdims=True))
 
 
-def frames(normals: np.ndarray) -> np.ndarray:
+def frames(normals: ndarray) -> ndarray:
     """(k, 3, 3) whose rows are two tangents and the unit normals (k, 3)."""
     return np.stack([*frame_about(normals), normals], 1)
 
 
-def to_frame(frame: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+def to_frame(frame: ndarray, vectors: ndarray) -> ndarray:
     """(k, 3) in frames (k, 3, 3)."""
     return np.einsum("kij,kj->ki", frame, vectors)
 
 
-def from_frame(frame: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+def from_frame(frame: ndarray, vectors: ndarray) -> ndarray:
     """(k, 3) from frames (k, 3, 3)."""
     return np.einsum("kij,ki->kj", frame, vectors)
 
 
-def on_ball(height: np.ndarray, turn: np.ndarray) -> np.ndarray:
+def on_ball(height: ndarray, turn: ndarray) -> ndarray:
     """(k, 3) unit vectors by their height over the middle (k, 1), and part of a turn (k, 1).
 
     Of a height sqrt(1 - u), u even: directions as dense as the cosine (Malley)."""
@@ -65,7 +66,7 @@ def on_ball(height: np.ndarray, turn: np.ndarray) -> np.ndarray:
     return np.column_stack([side * np.cos(phi), side * np.sin(phi), height])
 
 
-def schlick(f0: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+def schlick(f0: ndarray, cosine: ndarray) -> ndarray:
     """Share that is mirrored at a cosine (k, 1), by that seen from above (k, c); what mirrors
     nothing there never does."""
     grazing = (1 - cosine) ** 5
@@ -73,7 +74,7 @@ def schlick(f0: np.ndarray, cosine: np.ndarray) -> np.ndarray:
     return np.where(f0 > 0, share, 0.0)
 
 
-def smith(cosine: np.ndarray, a2: np.ndarray) -> np.ndarray:
+def smith(cosine: ndarray, a2: ndarray) -> ndarray:
     """(k, 1) the root in Smith's masking of GGX of width a."""
     return np.sqrt(a2 + (1 - a2) * cosine**2)
 
@@ -88,12 +89,12 @@ class MaterialLobes:
 
     def __init__(
         self,
-        normals: np.ndarray,
-        towards: np.ndarray,
-        albedo: np.ndarray,
-        metal: np.ndarray,
-        f0: np.ndarray,
-        roughness: np.ndarray,
+        normals: ndarray,
+        towards: ndarray,
+        albedo: ndarray,
+        metal: ndarray,
+        f0: ndarray,
+        roughness: ndarray,
     ) -> None:
         self._frame = frames(normals)
         view = to_frame(self._frame, towards)
@@ -114,7 +115,7 @@ class MaterialLobes:
         # of a direction for the gloss
         self._chance = divide(most, most + self._diffuse.max(1, keepdims=True))
 
-    def directions(self, numbers: np.ndarray) -> np.ndarray:
+    def directions(self, numbers: ndarray) -> ndarray:
         """(k, 3) unit, from numbers (k, 3) in [0, 1)."""
         choice, u, v = numbers.T[:, :, None]
         h = self._visible_normals(u, v)
@@ -123,7 +124,7 @@ class MaterialLobes:
         local = np.where(choice < self._chance, mirrored, scattered)
         return from_frame(self._frame, local)
 
-    def at(self, directions: np.ndarray) -> Reflected:
+    def at(self, directions: ndarray) -> Reflected:
         """Of unit directions (k, 3)."""
         d = to_frame(self._frame, directions)
         h = normalise(d + self._view)
@@ -149,7 +150,7 @@ class MaterialLobes:
         wide = divide(scattered + self._width * mirrored, total)
         return Reflected(total * above, density * above, wide)
 
-    def _visible_normals(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    def _visible_normals(self, u: ndarray, v: ndarray) -> ndarray:
         """(k, 3) normals of microfacets that the viewer sees, from numbers u, v (k, 1)."""
         shape = np.repeat(self._a, 3, axis=1)
         shape[:, 2] = 1
@@ -171,9 +172,9 @@ class PlaneLobes:
 
     def __init__(
         self,
-        points: np.ndarray,
-        normals: np.ndarray,
-        centre: np.ndarray,
+        points: ndarray,
+        normals: ndarray,
+        centre: ndarray,
         radius: float,
         all_around: bool,
     ) -> None:
@@ -189,13 +190,13 @@ class PlaneLobes:
         self._least = np.sqrt(1 - np.where(far, sine, 0) ** 2)
         self._chance = far * (0.5 if all_around else 1.0)
 
-    def directions(self, numbers: np.ndarray) -> np.ndarray:
+    def directions(self, numbers: ndarray) -> ndarray:
         choice, u, v = numbers.T[:, :, None]
         in_cone = from_frame(self._cone, on_ball(1 - u * (1 - self._least), v))
         about_normal = from_frame(self._frame, on_ball(np.sqrt(1 - u), v))
         return np.where(choice < self._chance, in_cone, about_normal)
 
-    def at(self, directions: np.ndarray) -> Reflected:
+    def at(self, directions: ndarray) -> Reflected:
         cosine = np.maximum(dot(self._normals, directions), 0) / np.pi
         solid_angle = 2 * np.pi * (1 - self._least)
         inside = dot(self._axis, directions) >= self._least - 1e-12

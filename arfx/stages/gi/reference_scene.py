@@ -7,6 +7,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.numerics import normalise
 from arfx.core.scene import Scene
@@ -21,12 +22,12 @@ class Met(NamedTuple):
     """What rays (n,) meet first. distance : metres, inf where nothing is
     triangle : -1 where nothing is;  u, v : on it"""
 
-    distance: np.ndarray
-    triangle: np.ndarray
-    u: np.ndarray
-    v: np.ndarray
+    distance: ndarray
+    triangle: ndarray
+    u: ndarray
+    v: ndarray
 
-    def of(self, rows: np.ndarray) -> Met:
+    def of(self, rows: ndarray) -> Met:
         return Met(*(values[rows] for values in self))
 
 
@@ -35,21 +36,21 @@ class Surface(NamedTuple):
     metal, f0, roughness (n, 1) : f0 of what is no metal;  from albedo on as `MaterialLobes` takes
     them"""
 
-    position: np.ndarray
-    normal: np.ndarray
-    emission: np.ndarray
-    albedo: np.ndarray
-    metal: np.ndarray
-    f0: np.ndarray
-    roughness: np.ndarray
+    position: ndarray
+    normal: ndarray
+    emission: ndarray
+    albedo: ndarray
+    metal: ndarray
+    f0: ndarray
+    roughness: ndarray
 
     @property
-    def diffuse(self) -> np.ndarray:
+    def diffuse(self) -> ndarray:
         """(n, 3) share of the light that is scattered evenly."""
         return self.albedo * (1 - self.metal) * (1 - self.f0)
 
     @property
-    def reflectance(self) -> np.ndarray:
+    def reflectance(self) -> ndarray:
         """(n, 3) share of the light that is scattered or mirrored."""
         return self.diffuse + self.f0 + self.albedo * self.metal
 
@@ -65,7 +66,7 @@ class RayScene:
         self.centre, self.radius = bounding_ball(scene)
         self.lift = LIFT * 2 * self.radius
 
-    def nearest(self, origins: np.ndarray, directions: np.ndarray) -> Met:
+    def nearest(self, origins: ndarray, directions: ndarray) -> Met:
         """What each ray meets first. directions : of any length, by which distances count"""
         hits = self._triangles.first_hits(origins, directions)
         triangle = np.asarray(hits["primID"]).astype(np.int64)
@@ -75,9 +76,7 @@ class RayScene:
         distance = np.where(triangle >= 0, distance, np.inf)
         return Met(distance, triangle, u, v)
 
-    def surface(
-        self, met: Met, origins: np.ndarray, directions: np.ndarray
-    ) -> Surface:
+    def surface(self, met: Met, origins: ndarray, directions: ndarray) -> Surface:
         """Where rays met something; every ray has to."""
         position = origins + met.distance[:, None] * directions
         weights = np.stack([1 - met.u - met.v, met.u, met.v], -1)

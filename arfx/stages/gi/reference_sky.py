@@ -7,6 +7,7 @@ environment itself."""
 from __future__ import annotations
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.cube import look_up, on_cube, on_faces, solid_angles
 from arfx.core.numerics import divide, normalise
@@ -25,9 +26,7 @@ class Environment:
     turn (3, 3) : to the cubes' axes from the anchor's;  bright : whether its brightest parts need
     samples of their own"""
 
-    def __init__(
-        self, cubes: tuple[np.ndarray, np.ndarray], turn: np.ndarray
-    ) -> None:
+    def __init__(self, cubes: tuple[ndarray, ndarray], turn: ndarray) -> None:
         from scipy.ndimage import maximum_filter
 
         self._cubes = cubes
@@ -42,14 +41,14 @@ class Environment:
         self._up_to = np.cumsum(self._chance)
         self._corners = on_faces(np.linspace(-1, 1, self._size + 1))
 
-    def radiance(self, directions: np.ndarray, wide: np.ndarray) -> np.ndarray:
+    def radiance(self, directions: ndarray, wide: ndarray) -> ndarray:
         """(n, 3) in unit directions. wide (n, 3) : 0 as a mirror sees it, 1 as a matt surface
         does"""
         turned = directions @ self.turn.T
         narrow, broad = (look_up(cube, turned) for cube in self._cubes)
         return np.asarray(narrow + wide * (broad - narrow))
 
-    def density(self, directions: np.ndarray) -> np.ndarray:
+    def density(self, directions: ndarray) -> ndarray:
         """(n, 1) per steradian with which `samples` takes unit directions; 0 if it is not used."""
         if not self.bright:
             return np.zeros((len(directions), 1))
@@ -61,7 +60,7 @@ class Environment:
         chance = self._chance[(face * n + row) * n + column]
         return np.asarray((chance * per_texel)[:, None])
 
-    def samples(self, numbers: np.ndarray) -> np.ndarray:
+    def samples(self, numbers: ndarray) -> ndarray:
         """(m, 3) unit directions, more where it is brighter, from numbers (m, 2) in [0, 1)."""
         n, corners = self._size, self._corners
         x, down = numbers[:, :1] * self._up_to[-1], numbers[:, 1:]

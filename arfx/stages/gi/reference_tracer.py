@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.numerics import divide, normalise
 from arfx.core.stage import View
@@ -45,15 +46,15 @@ class Rays(NamedTuple):
     direction (n, 3);  wide (n, 3) : as `Environment.radiance` takes it
     sky (n, 1) : share of the environment's light that they bring, the rest is sampled"""
 
-    pixel: np.ndarray
-    start: np.ndarray
-    weight: np.ndarray
-    change: np.ndarray
-    direction: np.ndarray
-    wide: np.ndarray
-    sky: np.ndarray
+    pixel: ndarray
+    start: ndarray
+    weight: ndarray
+    change: ndarray
+    direction: ndarray
+    wide: ndarray
+    sky: ndarray
 
-    def of(self, rows: np.ndarray) -> Rays:
+    def of(self, rows: ndarray) -> Rays:
         return Rays(*(values[rows] for values in self))
 
 
@@ -71,24 +72,22 @@ class Tracer:
         known = frame_surroundings(view.facts, scene, light)
         self._sky = Environment(known.cubes(), known.axes @ turn)
 
-    def over_plane(
-        self, plane: int, places: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def over_plane(self, plane: int, places: ndarray) -> tuple[ndarray, ndarray]:
         """(starts, normals) of rays from places (n, 3) of a plane."""
         normals = np.broadcast_to(self.axes[plane, 3], places.shape)
         return places + self.rays.lift * normals, normals
 
-    def plane_lobes(self, start: np.ndarray, normals: np.ndarray) -> PlaneLobes:
+    def plane_lobes(self, start: ndarray, normals: ndarray) -> PlaneLobes:
         several = len(self.axes) > 1
         return PlaneLobes(start, normals, self.rays.centre, self.rays.radius, several)
 
     def light(
         self,
-        start: np.ndarray,
+        start: ndarray,
         lobes: Lobes,
         change: bool,
-        numbers: np.ndarray,
-    ) -> np.ndarray:
+        numbers: ndarray,
+    ) -> ndarray:
         """(n, 3) that surfaces at `start` (n, 3) send on by their lobes, of one path each, or what
         the object changes of it.
 
@@ -104,8 +103,8 @@ class Tracer:
         return out
 
     def of_other_planes(
-        self, start: np.ndarray, normals: np.ndarray, numbers: np.ndarray
-    ) -> np.ndarray:
+        self, start: ndarray, normals: ndarray, numbers: ndarray
+    ) -> ndarray:
         """(n, 3) light of white planes that other planes give them less what they hide, without the
         object; of one direction each, numbers as of `light`."""
         u, v = numbers[:, 0, :2].T[:, :, None]
@@ -116,11 +115,11 @@ class Tracer:
 
     def _picture(
         self,
-        start: np.ndarray,
-        direction: np.ndarray,
-        plane: np.ndarray,
-        distance: np.ndarray,
-    ) -> np.ndarray:
+        start: ndarray,
+        direction: ndarray,
+        plane: ndarray,
+        distance: ndarray,
+    ) -> ndarray:
         """(n, 3) radiance of the planes that rays meet as the picture shows them, and where it does
         not, as it is around; 0 where they meet none. plane, distance : of `Planes.first_met`"""
         out, incoming = np.zeros(start.shape), self._incoming
@@ -133,9 +132,7 @@ class Tracer:
             out[rows] = np.where(known[..., None] > 0, radiance, around)[0]
         return out
 
-    def _met(
-        self, rays: Rays, drawn: np.ndarray, last: bool, out: np.ndarray
-    ) -> Rays:
+    def _met(self, rays: Rays, drawn: ndarray, last: bool, out: ndarray) -> Rays:
         """Rays that go on where these end. out (pixels, 3) += what these bring, of the last ones as
         if the object were not in their way;  drawn (n, NUMBERS)"""
         met = self.rays.nearest(rays.start, rays.direction)
@@ -175,7 +172,7 @@ class Tracer:
         return Rays(*map(np.concatenate, zip(of_object, of_plane, strict=True)))
 
     def _scattered(
-        self, rays: Rays, lobes: Lobes, drawn: np.ndarray, out: np.ndarray
+        self, rays: Rays, lobes: Lobes, drawn: ndarray, out: ndarray
     ) -> Rays:
         """Rays on from their starts by the surfaces' lobes. out += light of the environment's
         bright parts, by samples of their own."""
@@ -199,10 +196,10 @@ class Tracer:
 
     def _lamp_light(
         self,
-        start: np.ndarray,
-        normals: np.ndarray,
-        drawn: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
+        start: ndarray,
+        normals: ndarray,
+        drawn: ndarray,
+    ) -> tuple[ndarray, ndarray]:
         """(light of white surfaces (n, 3), what the object hides of it (n, 3)), by one ray to each
         lamp's disc."""
         received, hidden = np.zeros((2, len(start), 3))

@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.compiled import FAST, line_kernel
 from arfx.core.pose import Pose
@@ -38,15 +39,15 @@ class Sight:
     shows : share of a white surface's light that can be seen"""
 
     anchor_from_world: Pose
-    eye: np.ndarray
+    eye: ndarray
     background: Background
     transport: Transport
-    sent: np.ndarray
+    sent: ndarray
     shows: float
 
     def of_object(
-        self, starts: np.ndarray, directions: np.ndarray, turns: int = _MIRRORS
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, starts: ndarray, directions: ndarray, turns: int = _MIRRORS
+    ) -> tuple[ndarray, ndarray]:
         """(rays (m,) that meet the object, before any plane; radiance (m, 3) that it sends there).
 
         turns : of a ray that metal mirrors on; then metal sends its light in all directions
@@ -77,9 +78,7 @@ class Sight:
             sent[metal] = (1 - share) * sent[metal] + share * tint * seen
         return met, sent
 
-    def _at(
-        self, nodes: np.ndarray, places: np.ndarray, normals: np.ndarray
-    ) -> np.ndarray:
+    def _at(self, nodes: ndarray, places: ndarray, normals: ndarray) -> ndarray:
         covered = np.ones((1, len(places)), np.float32)
         row = normals[None].astype(np.float32), places[None].astype(np.float32)
         grid = self.transport.grid
@@ -88,9 +87,7 @@ class Sight:
         )
 
 
-def reflected_light(
-    surface: Surface, received: np.ndarray, sight: Sight
-) -> np.ndarray:
+def reflected_light(surface: Surface, received: ndarray, sight: Sight) -> ndarray:
     """(h, w, 3) float32 that the surface sends to the camera, premultiplied by coverage.
 
     received (h, w, 3) : radiance of a white surface from all but the lamps. Where too

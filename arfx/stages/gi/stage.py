@@ -20,6 +20,7 @@ from itertools import chain
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, packed
@@ -114,7 +115,7 @@ class Prepared:
     """Of one clip, worker and level. grid : viewing directions;  soft : pictures of the
     first plane that add up"""
 
-    grid: np.ndarray
+    grid: ndarray
     transport: Transport
     soft: tuple[PlaneTexture, ...]
 
@@ -128,14 +129,14 @@ class LitScene:
     mean (3,), sky (6 SKY^2, 3) : radiance of planes and sky, for which they are
     times (3,) : as bright as `received` the frame's light is"""
 
-    left: np.ndarray
+    left: ndarray
     changes: list[list[PlaneTexture]]
     radius_m: float
-    received: np.ndarray
-    sent: np.ndarray
-    mean: np.ndarray
-    sky: np.ndarray
-    times: np.ndarray
+    received: ndarray
+    sent: ndarray
+    mean: ndarray
+    sky: ndarray
+    times: ndarray
 
 
 class Gi(Stage):
@@ -192,7 +193,7 @@ class Gi(Stage):
         )
         return Prepared(direction_grid(scene.camera), transport, soft)
 
-    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, ndarray | Pixels]:
         facts, scene, frame = view.facts, view.scene, view.scene.camera.rect
         disc, _ = self._disc(facts, scene, frame)
         mirror, seen = self._mirror_rect(facts, scene), _reflected_rect(facts, scene)
@@ -324,7 +325,7 @@ class Gi(Stage):
 
     def _mirror(
         self,
-        shadow: np.ndarray,
+        shadow: ndarray,
         view: View,
         prepared: Prepared,
         sight: Sight,

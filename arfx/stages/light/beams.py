@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.light import DIFFUSE, Light, triple
 from arfx.core.numerics import divide, normalise
@@ -45,26 +46,26 @@ class FrameLight:
     rounded, no longer than 1 plane_ambient (3,), plane_direct (l, 3) : radiance of the
     white plane from each part, nothing in the way"""
 
-    towards: np.ndarray
-    rgb: np.ndarray
-    on_object: np.ndarray
-    sizes_deg: np.ndarray
+    towards: ndarray
+    rgb: ndarray
+    on_object: ndarray
+    sizes_deg: ndarray
     beams: tuple[Beam, ...]
-    soft: np.ndarray
-    ambient: np.ndarray
+    soft: ndarray
+    ambient: ndarray
     shape: tuple[float, float, float]
-    plane_ambient: np.ndarray
-    plane_direct: np.ndarray
+    plane_ambient: ndarray
+    plane_direct: ndarray
 
     @property
-    def ambient_fraction(self) -> np.ndarray:
+    def ambient_fraction(self) -> ndarray:
         """(3,) of the plane's light that is ambient; 0 where there is no light."""
         return divide(
             self.plane_ambient, self.plane_ambient + self.plane_direct.sum(0)
         )
 
     @property
-    def direct_fractions(self) -> np.ndarray:
+    def direct_fractions(self) -> ndarray:
         """(l, 3) of the plane's light that each directional light gives."""
         return divide(
             self.plane_direct, self.plane_ambient + self.plane_direct.sum(0)
@@ -115,9 +116,7 @@ def frame_light(
     )
 
 
-def _shape(
-    soft: np.ndarray, world_from_anchor: np.ndarray
-) -> tuple[float, float, float]:
+def _shape(soft: ndarray, world_from_anchor: ndarray) -> tuple[float, float, float]:
     """Of harmonics (9, 3) or none: of all colours together, by their first two degrees."""
     if not len(soft) or not np.isfinite(soft).all():
         return 0.0, 0.0, 0.0
@@ -131,7 +130,7 @@ def _shape(
     )
 
 
-def quantised(direction: np.ndarray, size_deg: float) -> Beam:
+def quantised(direction: ndarray, size_deg: float) -> Beam:
     """The beam nearest a direction (3,), unit, anchor axes: within QUANTUM of it."""
     d = np.asarray(direction, float)
     steps = np.round(d / QUANTUM)
@@ -146,16 +145,14 @@ def quantised(direction: np.ndarray, size_deg: float) -> Beam:
     return Beam(triple(d), round(size_deg / SIZE_STEP_DEG) * SIZE_STEP_DEG)
 
 
-def rim_directions(beam: Beam, count: int, radius: float = 1.0) -> np.ndarray:
+def rim_directions(beam: Beam, count: int, radius: float = 1.0) -> ndarray:
     """(1 + count, 3) `disc_directions` to the middle of the disc, then around it."""
     angles = 2 * np.pi / count * np.arange(count)
     rim = radius * np.column_stack([np.cos(angles), np.sin(angles)])
     return disc_directions(beam, np.concatenate([np.zeros((1, 2)), rim]))
 
 
-def disc_directions(
-    beam: Beam, points: np.ndarray, over_plane: bool = True
-) -> np.ndarray:
+def disc_directions(beam: Beam, points: ndarray, over_plane: bool = True) -> ndarray:
     """(n, 3) unit directions, anchor axes, to `points` (n, 2) of the light's unit disc.
 
     The first axis of the disc lies level, the second rises. over_plane : what would lie

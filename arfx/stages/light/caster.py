@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.numerics import arccos, divide, normalise, same_rows
 from arfx.core.sampling import sphere
@@ -36,20 +37,20 @@ class Caster:
     and by what slope
     opacity : of its shadow"""
 
-    vertices: np.ndarray
-    faces: np.ndarray
-    above_vertices: np.ndarray
-    above: np.ndarray
-    edges: np.ndarray
-    across: np.ndarray
-    outline: np.ndarray
+    vertices: ndarray
+    faces: ndarray
+    above_vertices: ndarray
+    above: ndarray
+    edges: ndarray
+    across: ndarray
+    outline: ndarray
     extent_m: float
     height_m: float
     sag_m: float
     facet_slope: float
     opacity: float = 1.0
 
-    def cast(self, towards: np.ndarray) -> np.ndarray:
+    def cast(self, towards: ndarray) -> ndarray:
         """(k n, 2) metres on the plane: the outline's shadows by lights in directions (k, 3)."""
         slopes = towards[:, None, :2] / towards[:, None, 2:]
         return (self.outline[:, :2] - slopes * self.outline[:, 2:]).reshape(-1, 2)
@@ -94,7 +95,7 @@ def make_caster(scene: Scene) -> Caster:
     )
 
 
-def _edges(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def _edges(vertices: ndarray, faces: ndarray) -> ndarray:
     """(e, 5) int32: two vertices, the face that runs from the first to the second, another
     or -1, and +1 where that one runs the same way, -1 where against it. Vertices at the
     same place count as one; of more than two faces some pair up."""
@@ -124,7 +125,7 @@ def _edges(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     ).astype(np.int32)
 
 
-def _outline(points: np.ndarray) -> np.ndarray:
+def _outline(points: ndarray) -> ndarray:
     """Vertices of the convex hull; the corners of the box where the points are few, many or
     flat.
     """
@@ -152,7 +153,7 @@ def _outline(points: np.ndarray) -> np.ndarray:
 
 
 def _faceting(
-    vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, extent: float
+    vertices: ndarray, faces: ndarray, normals: ndarray, extent: float
 ) -> tuple[float, float]:
     """95 % of the facets lie less than this below their smooth surface (metres), and lean
     from it by less than this slope.

@@ -17,6 +17,7 @@ from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.compiled import FAST, kernel, line_kernel
 from arfx.core.cube import bordered, face_directions, resampled
@@ -37,14 +38,14 @@ class Environment(NamedTuple):
     level's first row of `texels` roughness (levels,) : of each level turn (3, 3) float32 :
     rotation to the cube's axes from the world's"""
 
-    texels: np.ndarray
-    sides: np.ndarray
-    starts: np.ndarray
-    roughness: np.ndarray
-    turn: np.ndarray
+    texels: ndarray
+    sides: ndarray
+    starts: ndarray
+    roughness: ndarray
+    turn: ndarray
 
 
-def environment_of(texels: np.ndarray, cube_from_world: np.ndarray) -> Environment:
+def environment_of(texels: ndarray, cube_from_world: ndarray) -> Environment:
     """texels : of `prefiltered`, or sums of several;  cube_from_world : (3, 3)"""
     roughness = np.array(ROUGHNESSES, np.float32)
     return Environment(
@@ -52,7 +53,7 @@ def environment_of(texels: np.ndarray, cube_from_world: np.ndarray) -> Environme
     )
 
 
-def layout(sides: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+def layout(sides: Sequence[int]) -> tuple[ndarray, ndarray]:
     """(sides, starts) of levels as `Environment` keeps them."""
     count = 6 * (np.array(sides) + 2) ** 2
     return np.array(sides, np.int64), np.cumsum(count) - count
@@ -65,7 +66,7 @@ def level_slices() -> list[slice]:
     return [slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
 
 
-def prefiltered(cube: np.ndarray) -> np.ndarray:
+def prefiltered(cube: ndarray) -> ndarray:
     """(n, 3) float32 texels of all levels.
 
     cube : (6, m, m, 3) radiance, faces as core.cube's, m <= 64
@@ -86,14 +87,14 @@ def prefiltered(cube: np.ndarray) -> np.ndarray:
     return np.concatenate(out)
 
 
-def _packed(faces: np.ndarray) -> np.ndarray:
+def _packed(faces: ndarray) -> ndarray:
     return np.ascontiguousarray(bordered(faces).reshape(-1, 3), np.float32)
 
 
 @lru_cache(maxsize=len(SIDES))
 def _lobes(
     side: int, roughness: float, samples: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[ndarray, ndarray, ndarray]:
     """(directions (n, 3) of all samples of the lobes about a level's texels; (n,) the halving
     whose texels are as large as a sample; weights (samples,) of sum 1)."""
     u = (np.arange(samples) + 0.5) / samples

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.compiled import FAST, kernel
 from arfx.core.pose import Pose
@@ -27,8 +28,8 @@ class PlaneTexture:
     dark ([c,] rows, columns) : float32, 0 along the border: so is everything outside
     texel_from_m (2, 3) : column and row from plane coordinates (x, y, 1), metres"""
 
-    dark: np.ndarray
-    texel_from_m: np.ndarray
+    dark: ndarray
+    texel_from_m: ndarray
 
 
 class PlaneView:
@@ -37,7 +38,7 @@ class PlaneView:
     grid : viewing directions of the camera, as `direction_grid` makes them
     plane_from_camera : pose whose z axis is the plane's normal"""
 
-    def __init__(self, rect: Rect, grid: np.ndarray, plane_from_camera: Pose) -> None:
+    def __init__(self, rect: Rect, grid: ndarray, plane_from_camera: Pose) -> None:
         left, top = rect.x0 // GRID_PX, rect.y0 // GRID_PX
         right, bottom = (rect.x1 - 1) // GRID_PX + 2, (rect.y1 - 1) // GRID_PX + 2
         self.rect = rect
@@ -49,10 +50,10 @@ class PlaneView:
 
     def add(
         self,
-        out: np.ndarray,
+        out: ndarray,
         texture: PlaneTexture,
-        weights: np.ndarray,
-        share: np.ndarray | None = None,
+        weights: ndarray,
+        share: ndarray | None = None,
     ) -> None:
         """out (c, h, w) float32 += weights (c,) x the texture x share (h, w), None = 1.
 
@@ -74,12 +75,12 @@ def shadow_ratio(
     view: PlaneView,
     soft: Sequence[PlaneTexture],
     lamps: Sequence[PlaneTexture],
-    weights: np.ndarray,
-    ambient: np.ndarray,
+    weights: ndarray,
+    ambient: ndarray,
     blocked: PlaneTexture | None,
     faint: float,
     strength: float,
-) -> np.ndarray:
+) -> ndarray:
     """(h, w, 3) float32 ratio of the light that the object leaves the plane; 1 where it leaves all.
 
     soft, lamps : what is taken of their light;  weights (t, 3) : of each, its part of the

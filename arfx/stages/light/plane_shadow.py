@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.facts import PlaneShadow
 from arfx.core.numerics import divide, normalise
@@ -91,12 +92,12 @@ def _joined_at_contact(
 
 def _grid(
     caster: Caster,
-    low: np.ndarray,
-    high: np.ndarray,
+    low: ndarray,
+    high: ndarray,
     texels: int,
     more: int,
-    axes: np.ndarray,
-) -> tuple[np.ndarray, tuple[int, int], np.ndarray]:
+    axes: ndarray,
+) -> tuple[ndarray, tuple[int, int], ndarray]:
     """The caster's vertices (n, 3) float32 in texels, (rows, columns) and texel_from_m of
     about that many texels over a box along `axes` (2, 2), and `more` rows and columns.
     """
@@ -114,7 +115,7 @@ def _grid(
 
 
 def soft_picture(
-    caster: Caster, low: np.ndarray, high: np.ndarray, texels: int, sky: int
+    caster: Caster, low: ndarray, high: ndarray, texels: int, sky: int
 ) -> PlaneTexture:
     """What is hidden of soft light whose radiance in direction d is 1 + shape . d, in parts
     of 1 and of d: means over the hemisphere weighted by the cosine, (4, rows, columns).
@@ -124,7 +125,7 @@ def soft_picture(
     towards = hemisphere(sky)
     bundle = (towards @ hemisphere(_BUNDLES).T).argmax(1)
 
-    def counted(k: int) -> tuple[np.ndarray, np.ndarray]:
+    def counted(k: int) -> tuple[ndarray, ndarray]:
         directions = towards[bundle == k]
         slopes = -directions[:, :2] / directions[:, 2:]
         edges = caster.edges, caster.across, directions, slopes, shape
@@ -138,7 +139,7 @@ def soft_picture(
 
 
 def soft_pictures(
-    caster: Caster, low: np.ndarray, high: np.ndarray, level: PlaneLevel
+    caster: Caster, low: ndarray, high: ndarray, level: PlaneLevel
 ) -> tuple[PlaneTexture, ...]:
     """`soft_picture` of all that shows, and of the contact, which add up to one."""
 
@@ -153,7 +154,7 @@ def soft_pictures(
     return _joined_at_contact(caster, make)
 
 
-def _even(dark: np.ndarray, step_texels: float) -> None:
+def _even(dark: ndarray, step_texels: float) -> None:
     """Blurs what each silhouette's own edge would show, in place, as far as steps are apart."""
     sigma = min(step_texels, _EVENED_TEXELS)
     if sigma > _SHARPEST_TEXELS:
@@ -241,7 +242,7 @@ def within_surface(
 
 
 def plane_shadow_texture(
-    shadow: PlaneShadow, ambient_fraction: np.ndarray
+    shadow: PlaneShadow, ambient_fraction: ndarray
 ) -> PlaneTexture:
     """Fraction of the lamps' light that a real shadow takes already: (1 - ratio) / (1 -
     ambient fraction), 0..1.
@@ -265,7 +266,7 @@ def plane_shadow_texture(
     )
 
 
-def texel_places(texture: PlaneTexture) -> np.ndarray:
+def texel_places(texture: PlaneTexture) -> ndarray:
     """(rows, columns, 2) x and y, metres, of the texels' centres."""
     rows, columns = texture.dark.shape[-2:]
     u, v = np.arange(columns), np.arange(rows)[:, None]
@@ -273,7 +274,7 @@ def texel_places(texture: PlaneTexture) -> np.ndarray:
     return np.stack([a * u + b * v + c for a, b, c in metres], -1)
 
 
-def _inside_m(places: np.ndarray, box: Sequence[float]) -> np.ndarray:
+def _inside_m(places: ndarray, box: Sequence[float]) -> ndarray:
     """How far places (..., 2) lie inside a box x0, y0, x1, y1; below 0 outside."""
     x, y = places[..., 0], places[..., 1]
     across, along = (
@@ -283,6 +284,6 @@ def _inside_m(places: np.ndarray, box: Sequence[float]) -> np.ndarray:
     return np.asarray(np.minimum(across, along))
 
 
-def _zero_border(dark: np.ndarray) -> np.ndarray:
+def _zero_border(dark: ndarray) -> ndarray:
     """float32, contiguous, 0 along the border: what is looked up outside meets nothing."""
     return np.pad(np.clip(dark, 0, 1)[1:-1, 1:-1], 1).astype(np.float32)

@@ -14,6 +14,7 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.camera import Camera
 from arfx.core.numerics import HALF_GREY, normalise
@@ -55,9 +56,9 @@ class Planes:
     bounds (p, 4) float32 : x0, y0, x1, y1 on those directions, beyond which a plane was
     seen to end; +-ENDLESS"""
 
-    axes: np.ndarray
+    axes: ndarray
     half_m: float
-    bounds: np.ndarray
+    bounds: ndarray
 
     @property
     def key(self) -> tuple[bytes, float, bytes]:
@@ -65,8 +66,8 @@ class Planes:
         return self.axes.tobytes(), self.half_m, self.bounds.tobytes()
 
     def first_met(
-        self, starts: np.ndarray, directions: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, starts: ndarray, directions: ndarray
+    ) -> tuple[ndarray, ndarray]:
         """(plane, -1 = none; distance, inf), (...) each, of the nearest plane that rays meet
         from its front. starts, directions (..., 3), unit : broadcast together"""
         shape = np.broadcast_shapes(starts.shape, directions.shape)[:-1]
@@ -85,7 +86,7 @@ class Planes:
             plane[meets], nearest[meets] = k, distance[meets]
         return plane, nearest
 
-    def texture_places(self, places: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    def texture_places(self, places: ndarray, plane: ndarray) -> ndarray:
         """(n, 2) on textures of planes (n,), in half sides from the middle, of places
         (n, 3)."""
         axes = self.axes.astype(float)[plane]
@@ -93,13 +94,13 @@ class Planes:
         return np.asarray(along / self.half_m)
 
 
-def unwarped(u: np.ndarray) -> np.ndarray:
+def unwarped(u: ndarray) -> ndarray:
     """The inverse of `warped`."""
     k = float(WARP)
     return u / (k - (k - 1) * np.abs(u))
 
 
-def warped(places: np.ndarray) -> np.ndarray:
+def warped(places: ndarray) -> ndarray:
     """Texture coordinate, -1..1 inside, of places on a plane in units of its texture's half
     side.
     """
@@ -107,7 +108,7 @@ def warped(places: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=4)
-def bounding_ball(scene: Scene) -> tuple[np.ndarray, float]:
+def bounding_ball(scene: Scene) -> tuple[ndarray, float]:
     """Centre (3,), anchor axes, and radius, metres, of a ball around the object."""
     p = scene.world_from_anchor.inverse().apply(scene.model_points_m)
     p = p[np.isfinite(p).all(1)]
@@ -156,9 +157,7 @@ def planes_of(scene: Scene) -> Planes:
     )
 
 
-def _bounds(
-    measured: RealPlane | None, axes: np.ndarray, origin: np.ndarray
-) -> np.ndarray:
+def _bounds(measured: RealPlane | None, axes: ndarray, origin: ndarray) -> ndarray:
     """(4,) x0, y0, x1, y1 from axes[0] along axes[1], axes[2] where the plane was seen to end.
 
     origin (3,) : of its extent
@@ -203,7 +202,7 @@ def disc_rect(
     return out.clip(frame)
 
 
-def _faced(planes: Planes, camera_from_anchor: Pose) -> Iterator[np.ndarray]:
+def _faced(planes: Planes, camera_from_anchor: Pose) -> Iterator[ndarray]:
     """Axes (4, 3) of the planes that the camera is before."""
     eye = camera_from_anchor.inverse().translation_m
     for axes in planes.axes.astype(float):
@@ -238,7 +237,7 @@ def mirror_rect(
 
 
 @lru_cache(maxsize=4)
-def texel_positions(planes: Planes, side: int) -> np.ndarray:
+def texel_positions(planes: Planes, side: int) -> ndarray:
     """(p, side, side, 3) float64 metres, anchor axes, of the texels' centres."""
     t = unwarped((np.arange(side) + 0.5) / side * 2 - 1) * planes.half_m
     v, u = np.meshgrid(t, t, indexing="ij")
@@ -254,17 +253,15 @@ class PlatePicture:
     real : (h, w) measured depth, or none: a pixel that shows something before a plane does
     not show the plane"""
 
-    plate: np.ndarray
+    plate: ndarray
     rect: Rect
     allowed: Rect
     camera: Camera
     camera_from_anchor: Pose
-    bias: np.ndarray
-    real: np.ndarray
+    bias: ndarray
+    real: ndarray
 
-    def radiance(
-        self, places: np.ndarray, axes: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def radiance(self, places: ndarray, axes: ndarray) -> tuple[ndarray, ndarray]:
         """(h, w, 3) float32 at places (h, w, 3) of one plane, and 1 where it is known, else
         0, (h, w) float32. axes (4, 3) : of `Planes`"""
         rect, allowed = self.rect, self.allowed.clip(self.rect)
@@ -291,9 +288,7 @@ class PlatePicture:
         return np.asarray(out, np.float32), inside.astype(np.float32)
 
 
-def on_plane(
-    real_m: np.ndarray, dioptres: np.ndarray, tolerance: float
-) -> np.ndarray:
+def on_plane(real_m: ndarray, dioptres: ndarray, tolerance: float) -> ndarray:
     """(h, w) float32: 1 = the real surface is the plane, 0 = it is not; 1 where nothing was
     measured.
 
@@ -306,9 +301,7 @@ def on_plane(
     return np.where(known, fraction, 1).astype(np.float32)
 
 
-def filled(
-    radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray
-) -> np.ndarray:
+def filled(radiance: ndarray, known: ndarray, otherwise: ndarray) -> ndarray:
     """(p, side, side, 3) float32: what the picture does not show as what it shows around;
     `otherwise` (3,) where it shows nothing. known (p, side, side) : 0 or 1"""
     out = np.empty_like(radiance)
@@ -317,7 +310,7 @@ def filled(
     return out
 
 
-def halvings(texels: np.ndarray, least: int) -> list[np.ndarray]:
+def halvings(texels: ndarray, least: int) -> list[ndarray]:
     """(p, n, n, c) and the means of four texels each, down to `least` texels a side."""
     levels = [texels]
     while (n := levels[-1].shape[1] // 2) >= least:
@@ -325,7 +318,7 @@ def halvings(texels: np.ndarray, least: int) -> list[np.ndarray]:
     return levels
 
 
-def mip_chain(radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def mip_chain(radiance: ndarray) -> tuple[ndarray, ndarray]:
     """(p, texels, 3) float32 and (levels, 2) int64 (offset, side): halved down to one texel."""
     p, levels = len(radiance), halvings(radiance, 1)
     sides = np.array([level.shape[1] for level in levels], np.int64)

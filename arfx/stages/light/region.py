@@ -10,6 +10,7 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.facts import FrameFacts
 from arfx.core.memo import memo_of
@@ -69,7 +70,7 @@ class ShadowRegion:
             return ()
         return soft_pictures(self.caster, points.min(0), points.max(0), level)
 
-    def _outline_m(self, least_hidden: float, beams: tuple[Beam, ...]) -> np.ndarray:
+    def _outline_m(self, least_hidden: float, beams: tuple[Beam, ...]) -> ndarray:
         """(k, 2) metres: points around the shadow; none where nothing shows.
 
         least_hidden : share of the soft light that has to be hidden to show;  beams : lamps
@@ -82,7 +83,7 @@ class ShadowRegion:
         points = np.concatenate(parts)
         return _subdivided(_hull(points)) if len(points) else points
 
-    def _soft_outline_m(self, least_hidden: float) -> np.ndarray:
+    def _soft_outline_m(self, least_hidden: float) -> ndarray:
         dark = np.argwhere(self.soft.dark[0] > least_hidden)[:, ::-1]
         if not len(dark):
             return np.zeros((0, 2))
@@ -92,7 +93,7 @@ class ShadowRegion:
         texels = _hull(around.reshape(-1, 2).astype(float))
         return (texels - matrix[:, 2]) / np.diag(matrix[:, :2])
 
-    def _beam_outline_m(self, beam: Beam) -> np.ndarray:
+    def _beam_outline_m(self, beam: Beam) -> ndarray:
         return _hull(self.caster.cast(rim_directions(beam, 12, _RIM)))
 
 
@@ -103,7 +104,7 @@ def shadow_region(scene: Scene) -> ShadowRegion:
     return region
 
 
-def plane_rect(points_m: np.ndarray, facts: FrameFacts, scene: Scene) -> Rect:
+def plane_rect(points_m: ndarray, facts: FrameFacts, scene: Scene) -> Rect:
     """Pixels that hold points (n, 2) of the anchor's plane; the whole frame where some are
     not before the camera.
     """
@@ -132,11 +133,11 @@ def unevenness(light: FrameLight) -> float:
     )
 
 
-def _hull(points: np.ndarray) -> np.ndarray:
+def _hull(points: ndarray) -> ndarray:
     """(k, 2) corners of the convex hull of points (n, 2)."""
     return cv2.convexHull(points.astype(np.float32))[:, 0].astype(float)
 
 
-def _subdivided(hull: np.ndarray) -> np.ndarray:
+def _subdivided(hull: ndarray) -> ndarray:
     t = np.linspace(0, 1, _SIDES + 1)[:-1, None, None]
     return (hull * (1 - t) + np.roll(hull, -1, 0) * t).reshape(-1, 2)

@@ -11,6 +11,7 @@ contour crosses))"""
 from __future__ import annotations
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.compiled import kernel
 from arfx.core.sampling import r2
@@ -20,13 +21,13 @@ _NEAR = 1e-6  # texels: no gap between two triangles
 
 
 def covered_fraction(
-    points: np.ndarray,
-    edges: np.ndarray,
-    across: np.ndarray,
-    directions: np.ndarray,
-    slopes: np.ndarray,
+    points: ndarray,
+    edges: ndarray,
+    across: ndarray,
+    directions: ndarray,
+    slopes: ndarray,
     shape: tuple[int, int],
-) -> np.ndarray:
+) -> ndarray:
     """(rows, columns) float32: in what share of the directions a texel is covered.
 
     points (n, 3) float32 : column, row (texel centres at integers) and height above the

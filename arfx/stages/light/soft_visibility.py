@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.memo import memo_of
 from arfx.core.numerics import divide, normalise
@@ -40,16 +41,16 @@ class SoftVisibility:
     """grid, parts (z, y, x, 4) : hidden light of 1 and of the three coordinates, anchor axes"""
 
     grid: SurfaceGrid
-    parts: np.ndarray
+    parts: ndarray
 
-    def under(self, shape: tuple[float, float, float]) -> np.ndarray:
+    def under(self, shape: tuple[float, float, float]) -> ndarray:
         """(z, y, x, 1) float32: what is hidden of a soft light of this shape."""
         return np.ascontiguousarray(
             self.parts @ np.array([1.0, *shape], np.float32)[:, None]
         )
 
 
-def hidden_parts(hits: Hits, plane: PlaneTexture) -> np.ndarray:
+def hidden_parts(hits: Hits, plane: PlaneTexture) -> ndarray:
     """(n, 4) of the light on a surface that is hidden: of 1 and of the three coordinates.
 
     plane : what the plane is darkened by, as `soft_picture`"""
@@ -97,12 +98,12 @@ def soft_visibility(
 
 
 def visible_fraction(
-    layers: tuple[np.ndarray, np.ndarray, np.ndarray],
+    layers: tuple[ndarray, ndarray, ndarray],
     kept: SoftVisibility,
-    nodes: np.ndarray,
+    nodes: ndarray,
     anchor_from_world: Pose,
     shape: tuple[float, float, float],
-) -> np.ndarray:
+) -> ndarray:
     """(h, w) float32, 0..1: the share of the soft light that is left; any where the pixel
     is not covered.
 
@@ -118,12 +119,12 @@ def visible_fraction(
 
 
 def visible_fraction_by_rays(
-    layers: tuple[np.ndarray, np.ndarray, np.ndarray],
+    layers: tuple[ndarray, ndarray, ndarray],
     rays: ObjectRays,
     plane: PlaneTexture,
     anchor_from_world: Pose,
     shape: tuple[float, float, float],
-) -> np.ndarray:
+) -> ndarray:
     """The same, with rays from every pixel."""
     coverage, normal, position = layers
     out = np.ones(coverage.shape, np.float32)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.compiled import FAST, line_kernel
 
@@ -21,7 +22,7 @@ _GOLDEN = 0.6180339887498949
 
 
 @lru_cache(maxsize=1)
-def split_sum() -> np.ndarray:
+def split_sum() -> ndarray:
     """(ROUGHNESSES, COSINES, 2) float32 (a, b) for roughness and cosine of view from 0 to
     1, both ends included: F0 x a + b is mirrored."""
     a = np.maximum(np.linspace(0, 1, ROUGHNESSES), _SMOOTHEST)[:, None, None] ** 2

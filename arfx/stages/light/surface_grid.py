@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.compiled import FAST, line_kernel
 from arfx.core.layers import packed
@@ -33,7 +34,7 @@ class SurfaceGrid:
     """
 
     def __init__(
-        self, points: np.ndarray, normals: np.ndarray, weights: np.ndarray, cells: int
+        self, points: ndarray, normals: ndarray, weights: ndarray, cells: int
     ) -> None:
         low, high = points.min(0), points.max(0)
         self.pitch_m = max(float((high - low).max()) / cells, 1e-9)
@@ -42,12 +43,12 @@ class SurfaceGrid:
         self.shape = int(z), int(y), int(x)
         self._spread = self._spreading(points, normals, weights)
 
-    def nodes(self, values: np.ndarray) -> np.ndarray:
+    def nodes(self, values: ndarray) -> ndarray:
         """(z, y, x, c) float32: weighted means of the points' values (n, c) near each node."""
         kept = self._spread @ np.ascontiguousarray(values, np.float32)
         return np.ascontiguousarray(kept.reshape(*self.shape, -1), np.float32)
 
-    def nearest(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    def nearest(self, points: ndarray, normals: ndarray) -> ndarray:
         """(n,) number of the node that places (n, 3) of the surface are nearest to."""
         place = (points - self.low_m) / self.pitch_m + normals
         i, j, k = np.rint(place).astype(np.int64).T
@@ -57,12 +58,12 @@ class SurfaceGrid:
 
     def read(
         self,
-        nodes: np.ndarray,
-        coverage: np.ndarray,
-        normal: np.ndarray,
-        position: np.ndarray,
+        nodes: ndarray,
+        coverage: ndarray,
+        normal: ndarray,
+        position: ndarray,
         anchor_from_world: Pose,
-    ) -> np.ndarray:
+    ) -> ndarray:
         """(h, w, c) float32 of pixels by their layers; 0 where nothing covers them."""
         turn = anchor_from_world.rotation
         shift = (anchor_from_world.translation_m - self.low_m) / self.pitch_m
@@ -73,7 +74,7 @@ class SurfaceGrid:
         return out
 
     def _spreading(
-        self, points: np.ndarray, normals: np.ndarray, weights: np.ndarray
+        self, points: ndarray, normals: ndarray, weights: ndarray
     ) -> csr_array:
         """(nodes, points) float32 weights whose rows sum to 1, or to 0 far from the surface."""
         from scipy.sparse import csr_array, diags_array

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.colour import SRGB
 from arfx.core.model import CLAMP, MIRROR, Material
@@ -40,10 +41,10 @@ class Hits:
     face (n, k) : of the object, -1 = none;  distance (n, k) : metres, inf = none"""
 
     rows: slice
-    starts: np.ndarray
-    directions: np.ndarray
-    face: np.ndarray
-    distance: np.ndarray
+    starts: ndarray
+    directions: ndarray
+    face: ndarray
+    distance: ndarray
 
 
 class ObjectRays:
@@ -74,8 +75,8 @@ class ObjectRays:
         return Triangles(self.corners)
 
     def first_hits(
-        self, starts: np.ndarray, directions: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, starts: ndarray, directions: ndarray
+    ) -> tuple[ndarray, ndarray]:
         """(face (n,), -1 = none; distance (n,)) of rays (n, 3), through what lets them pass."""
         face, distance, chance = self._first(starts, directions)
         for _ in range(_PASSES):
@@ -92,8 +93,8 @@ class ObjectRays:
         return face, distance
 
     def _first(
-        self, starts: np.ndarray, directions: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        self, starts: ndarray, directions: ndarray
+    ) -> tuple[ndarray, ndarray, ndarray]:
         """(face, distance, a number in 0..1 that depends on the place that is met alone),
         each (n,).
         """
@@ -109,7 +110,7 @@ class ObjectRays:
             chance,
         )
 
-    def open_fraction(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    def open_fraction(self, points: ndarray, directions: ndarray) -> ndarray:
         """(n,) share of `directions` (k, 3) in which nothing stops a ray from points (n, 3)."""
         count = len(directions)
         out = np.zeros(len(points))
@@ -123,7 +124,7 @@ class ObjectRays:
         return out
 
     def over(
-        self, points: np.ndarray, normals: np.ndarray, count: int, turned: bool = True
+        self, points: ndarray, normals: ndarray, count: int, turned: bool = True
     ) -> Iterator[Hits]:
         """Rays over the hemispheres of points (n, 3), as dense as the cosine, `count` of each.
 
@@ -166,13 +167,13 @@ class Surfels:
     that leaves in all directions, mirrored light counted as such, and without
     area (n,) : of the surface that each stands for, the largest 1"""
 
-    points: np.ndarray
-    normals: np.ndarray
-    face: np.ndarray
-    area: np.ndarray
-    albedo: np.ndarray
-    matt: np.ndarray
-    emission: np.ndarray
+    points: ndarray
+    normals: ndarray
+    face: ndarray
+    area: ndarray
+    albedo: ndarray
+    matt: ndarray
+    emission: ndarray
 
 
 def surfels_of(rays: ObjectRays, count: int) -> Surfels:
@@ -212,8 +213,8 @@ def surfels_of(rays: ObjectRays, count: int) -> Surfels:
 
 
 def _seen_from_outside(
-    rays: ObjectRays, points: np.ndarray, normals: np.ndarray
-) -> np.ndarray:
+    rays: ObjectRays, points: ndarray, normals: ndarray
+) -> ndarray:
     """(n,) whether the rays of a side meet fewer back faces than they would inside of something."""
     out = np.empty(len(points), bool)
     for hits in rays.over(points, normals, _PROBES):
@@ -224,8 +225,8 @@ def _seen_from_outside(
 
 
 def _colours(
-    rays: ObjectRays, face: np.ndarray, weights: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rays: ObjectRays, face: ndarray, weights: ndarray
+) -> tuple[ndarray, ndarray, ndarray]:
     """(albedo, matt, emission) (n, 3) at places in faces, by their corners' weights (n, 3)."""
     mesh, part = rays.mesh, rays.part[face]
     colour, emission, _ = shown_colours(mesh, rays.faces[face], part, weights)
@@ -237,8 +238,8 @@ def _colours(
 
 
 def shown_colours(
-    mesh: SceneMesh, corners: np.ndarray, part: np.ndarray, weights: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    mesh: SceneMesh, corners: ndarray, part: ndarray, weights: ndarray
+) -> tuple[ndarray, ndarray, ndarray]:
     """(base colour (n, 3), emission (n, 3), texture coordinates (n, 4)) at places of parts
     (n,), by their corners (n, 3) and the weights of these (n, 3)."""
     colour, uv = (
@@ -262,9 +263,7 @@ def _metallic(material: Material) -> float:
     return material.metallic * mean
 
 
-def texels_of(
-    mesh: SceneMesh, name: str, part: np.ndarray, uv: np.ndarray
-) -> np.ndarray:
+def texels_of(mesh: SceneMesh, name: str, part: ndarray, uv: ndarray) -> ndarray:
     """(n, 4) uint8 nearest texels of the texture `name` at places of parts (n,), by their
     coordinates uv (n, 4); 255 where a part has none."""
     out = np.full((len(part), 4), 255, np.uint8)
@@ -282,7 +281,7 @@ def texels_of(
     return out
 
 
-def wrapped(t: np.ndarray, wrap: str) -> np.ndarray:
+def wrapped(t: ndarray, wrap: str) -> ndarray:
     """(n,) 0..1 where a picture is read that is laid at t (n,)."""
     if wrap == CLAMP:
         return np.clip(t, 0, 1)

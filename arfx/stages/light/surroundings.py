@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.cube import (
     CubeMap,
@@ -65,10 +66,10 @@ class SurroundingParts:
     guess_where_seen (3,) : mean of the guess times how well the place is known
     whole : all is known, only its scale is not"""
 
-    texels: np.ndarray
-    arriving: np.ndarray
-    mean: np.ndarray
-    guess_where_seen: np.ndarray
+    texels: ndarray
+    arriving: ndarray
+    mean: ndarray
+    guess_where_seen: ndarray
     whole: bool
 
     def towards(self, other: SurroundingParts, share: float) -> SurroundingParts:
@@ -91,9 +92,9 @@ class FrameSurroundings:
     axes (3, 3) : rotation to the cubes' axes from the world's"""
 
     parts: SurroundingParts
-    narrow: np.ndarray
-    wide: np.ndarray
-    axes: np.ndarray
+    narrow: ndarray
+    wide: ndarray
+    axes: ndarray
 
     def environment(self) -> Environment:
         """Filtered, as surfaces of any roughness mirror it: the sum of the parts, each level
@@ -109,18 +110,18 @@ class FrameSurroundings:
             np.einsum("pnc,pc->nc", texels[:, rows], weights, out=out[rows])
         return environment_of(out, self.axes)
 
-    def cube(self, factors: np.ndarray) -> np.ndarray:
+    def cube(self, factors: ndarray) -> ndarray:
         """(6, n, n, 3) radiance of the parts by `narrow` or `wide`; not filtered."""
         finest, side = self.parts.texels[:, level_slices()[0]], SIDES[0] + 2
         texels = np.einsum("pc,pnc->nc", factors, finest).reshape(6, side, side, 3)
         return np.asarray(texels[:, 1:-1, 1:-1])
 
-    def cubes(self) -> tuple[np.ndarray, np.ndarray]:
+    def cubes(self) -> tuple[ndarray, ndarray]:
         """As a mirror sees them, and as a matt surface does."""
         return self.cube(self.narrow), self.cube(self.wide)
 
 
-def lobe_width(roughness: np.ndarray | float) -> np.ndarray:
+def lobe_width(roughness: ndarray | float) -> ndarray:
     """How wide a GGX lobe sees the surroundings, by the cone that blurs as it does
     (`gi.gloss.mirror_tangent`): 0 as a mirror, 1 as a matt surface."""
     half_angle = np.sqrt(8) * np.arctan(np.asarray(roughness) ** 2)
@@ -178,7 +179,7 @@ def frame_surroundings(
 
 
 def parts_of(
-    seen: np.ndarray | None, guess: np.ndarray, up: np.ndarray, plane_known: bool
+    seen: ndarray | None, guess: ndarray, up: ndarray, plane_known: bool
 ) -> SurroundingParts:
     """seen : (6, n, n, 4) radiance times the fourth, how well it is known, or None;  guess
     : (6, n, n, 3)
@@ -207,8 +208,8 @@ def parts_of(
 
 
 def brightness(
-    parts: SurroundingParts, light: Light, want: np.ndarray, plane_rgb: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    parts: SurroundingParts, light: Light, want: ndarray, plane_rgb: ndarray
+) -> tuple[ndarray, ndarray]:
     """(narrow, wide), (3, 3) each: factors of the parts for a mirror, and for a surface
     that sees far around.
 
@@ -227,12 +228,12 @@ def brightness(
     return np.stack([scale, plane_rgb, as_seen]), wide
 
 
-def _radiance(values: np.ndarray) -> np.ndarray:
+def _radiance(values: ndarray) -> ndarray:
     """What of them is radiance: not what is below 0 or not finite."""
     return np.where(np.isfinite(values), np.clip(values, 0, None), 0)
 
 
-def seen_map(name: str, scene: Scene) -> np.ndarray:
+def seen_map(name: str, scene: Scene) -> ndarray:
     """(6, n, n, 4) float32 of the scene's maps.
 
     Raises RenderError where it is missing or holds no radiance.
@@ -246,13 +247,13 @@ def seen_map(name: str, scene: Scene) -> np.ndarray:
     return resampled(_checked(rgba, "an environment map"), SIDES[0])
 
 
-def _checked(radiance: np.ndarray, name: str) -> np.ndarray:
+def _checked(radiance: ndarray, name: str) -> ndarray:
     if not np.isfinite(radiance).all() or (radiance < 0).any():
         raise RenderError(f"facts: {name} holds values that are not finite and >= 0")
     return radiance
 
 
-def checked_faces(environment: CubeMap) -> np.ndarray:
+def checked_faces(environment: CubeMap) -> ndarray:
     """(6, n, n, 3) float64, its own axes.
 
     Raises RenderError for values that are not finite and >= 0.
@@ -260,21 +261,21 @@ def checked_faces(environment: CubeMap) -> np.ndarray:
     return _checked(environment.faces().astype(float), "the environment")
 
 
-def above_horizon(size: int, up: np.ndarray) -> np.ndarray:
+def above_horizon(size: int, up: ndarray) -> ndarray:
     """(6, size, size, 1) from 0 at the plane's horizon to 1 from SOFT_DEG on."""
     return smoothstep((face_directions(size) @ up) / np.sin(np.radians(SOFT_DEG)))[
         ..., None
     ]
 
 
-def _axes(found: SeenEnvironment | CubeMap | None) -> np.ndarray:
+def _axes(found: SeenEnvironment | CubeMap | None) -> ndarray:
     """(3, 3) rotation to the axes of what was found from the world's."""
     if found is None or found.axes is None:
         return np.eye(3)
     return np.array(found.axes, float).reshape(3, 3)
 
 
-def _soft_shape(light: Light) -> np.ndarray:
+def _soft_shape(light: Light) -> ndarray:
     """(9, 3) harmonics of the light's soft part over their first, in steps: the same for
     all brightnesses.
     """
@@ -286,7 +287,7 @@ def _soft_shape(light: Light) -> np.ndarray:
     return shape
 
 
-def _guess_of(environment: CubeMap | None, light: Light) -> np.ndarray:
+def _guess_of(environment: CubeMap | None, light: Light) -> ndarray:
     """(6, n, n, 3) float32, of every colour everywhere; what the light's soft part comes
     from where there is no guess.
     """
@@ -300,7 +301,7 @@ def _guess_of(environment: CubeMap | None, light: Light) -> np.ndarray:
     return resampled(cube.astype(np.float32), SIDES[0])
 
 
-def _from_light(light: Light) -> np.ndarray:
+def _from_light(light: Light) -> ndarray:
     """(6, n, n, 3), about what gives the light's soft radiance, but for its scale."""
     # a cosine lobe leaves 2/3 and 1/4 of degrees 1 and 2; the latter is given back by half
     # only, as it rings

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.cube import on_cube
 from arfx.core.light import Light
@@ -62,12 +63,12 @@ class Indirect:
     total : of white planes without the object;  left : share of it that is left, lamps counted too
     """
 
-    received: np.ndarray
-    sent: np.ndarray
-    gain: np.ndarray
-    spread: np.ndarray
-    total: np.ndarray
-    left: np.ndarray
+    received: ndarray
+    sent: ndarray
+    gain: ndarray
+    spread: ndarray
+    total: ndarray
+    left: ndarray
 
 
 class Transport:
@@ -116,7 +117,7 @@ class Transport:
         shares = np.bincount(row[nearer], minlength=shape[0]) / level.rays
         self.hidden = shares.reshape(-1, side, side)
 
-    def _met(self, traced: Iterable[Hits]) -> list[np.ndarray]:
+    def _met(self, traced: Iterable[Hits]) -> list[ndarray]:
         """Of every ray, (rays,) each: its place's row; the column of what it meets, and of
         what it would meet without the object; whether it meets the object."""
         parts = []
@@ -129,7 +130,7 @@ class Transport:
         return [np.concatenate(a) for a in zip(*parts, strict=True)]
 
     def _shares(
-        self, columns: Sequence[np.ndarray], row: np.ndarray, shape: tuple[int, int]
+        self, columns: Sequence[ndarray], row: ndarray, shape: tuple[int, int]
     ) -> csr_array:
         """Of rays (n,): the share of each, at the first of `columns`, less it at the second."""
         from scipy.sparse import csr_array
@@ -139,7 +140,7 @@ class Transport:
         entries = np.tile(row, len(columns)), np.concatenate(columns)
         return csr_array((shares, entries), shape=shape)
 
-    def _nodes_met(self, hits: Hits, nearer: np.ndarray) -> np.ndarray:
+    def _nodes_met(self, hits: Hits, nearer: ndarray) -> ndarray:
         """Node of the grid beside each place of the object that rays meet."""
         directions = hits.directions[nearer]
         starts = np.broadcast_to(hits.starts, hits.directions.shape)[nearer]
@@ -149,7 +150,7 @@ class Transport:
             starts + hits.distance[nearer][:, None] * directions, facing * normals
         )
 
-    def _beyond(self, hits: Hits) -> tuple[np.ndarray, np.ndarray]:
+    def _beyond(self, hits: Hits) -> tuple[ndarray, ndarray]:
         """(column (n, k), distance (n, k)) of the plane or sky that rays meet without the
         object.
         """
@@ -167,7 +168,7 @@ class Transport:
         return column, distance
 
     def solve(
-        self, scene: Scene, light: Light, picture: np.ndarray, sky: np.ndarray
+        self, scene: Scene, light: Light, picture: ndarray, sky: ndarray
     ) -> Indirect:
         """picture (p side^2, 3) : radiance of the planes without the object;  sky (6 SKY^2,
         3) : WORLD axes turned to
@@ -206,14 +207,14 @@ class Transport:
             received, sent, *(np.reshape(field, shape) for field in fields)
         )
 
-    def more_from_around(self, picture: np.ndarray, sky: np.ndarray) -> np.ndarray:
+    def more_from_around(self, picture: ndarray, sky: ndarray) -> ndarray:
         """(n, 3) light on surfels by changes of the planes' radiance and of the sky's; as `solve`
         takes them."""
         return np.asarray(
             self._from_around @ np.concatenate([picture, sky], dtype=np.float32)
         )
 
-    def _lamps(self, scene: Scene, light: Light) -> tuple[np.ndarray, np.ndarray]:
+    def _lamps(self, scene: Scene, light: Light) -> tuple[ndarray, ndarray]:
         """(light on surfels (n, 3), light that texels lose (m, 3)), of white surfaces, by
         lamps alone.
         """
@@ -236,11 +237,11 @@ class Transport:
         return on_surfels, shadow
 
 
-def _stacked(*parts: np.ndarray) -> np.ndarray:
+def _stacked(*parts: ndarray) -> ndarray:
     return np.concatenate(parts).astype(np.float32)
 
 
-def sky_texels(directions: np.ndarray) -> np.ndarray:
+def sky_texels(directions: ndarray) -> ndarray:
     """(...) number of the texel of a cube of SKY texels a side that directions (..., 3)
     point to.
     """

@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.compiled import FAST, line_kernel
 from arfx.core.layers import packed
@@ -50,9 +51,9 @@ class DepthMap(NamedTuple):
     metres, unit (3, 3) : their directions;  spread : penumbra radius per depth
     lift, slope : texels, and slope by which facets may deviate;  top : least depth"""
 
-    depth: np.ndarray
-    matrix: np.ndarray
-    unit: np.ndarray
+    depth: ndarray
+    matrix: ndarray
+    unit: ndarray
     spread: np.float32
     lift: np.float32
     slope: np.float32
@@ -83,12 +84,12 @@ def depth_map(caster: Caster, beam: Beam) -> DepthMap:
 
 
 def visibility_by_map(
-    coverage: np.ndarray,
-    normal: np.ndarray,
-    position: np.ndarray,
+    coverage: ndarray,
+    normal: ndarray,
+    position: ndarray,
     shadow_map: DepthMap,
     anchor_from_world: Pose,
-) -> np.ndarray:
+) -> ndarray:
     """(h, w) float32, 0..1: the share of the light that is left; 1 where the pixel is not
     covered or turned away.
     """
@@ -108,15 +109,15 @@ def visibility_by_map(
 
 
 def visibility_by_rays(
-    coverage: np.ndarray,
-    normal: np.ndarray,
-    position: np.ndarray,
+    coverage: ndarray,
+    normal: ndarray,
+    position: ndarray,
     rays: Triangles,
     caster: Caster,
     beam: Beam,
     anchor_from_world: Pose,
-    eye: np.ndarray,
-) -> np.ndarray:
+    eye: ndarray,
+) -> ndarray:
     """The same with rays over the light's disc, weighted by their cosine to the normal. eye
     (3,) : the camera, WORLD frame
     """

@@ -16,6 +16,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.compiled import FAST, line_kernel
 from arfx.core.vectors import dot, minus, scaled, shifted, unit, vector
@@ -30,12 +31,12 @@ _TINY = _F(1e-12)
 class Surface(NamedTuple):
     """Layers of the object over one rectangle."""
 
-    coverage: np.ndarray
-    normal: np.ndarray
-    position: np.ndarray
-    albedo: np.ndarray
-    material: np.ndarray
-    emissive: np.ndarray
+    coverage: ndarray
+    normal: ndarray
+    position: ndarray
+    albedo: ndarray
+    material: ndarray
+    emissive: ndarray
 
 
 class Lights(NamedTuple):
@@ -43,14 +44,14 @@ class Lights(NamedTuple):
     w);  soft_visibility (h, w)
     """
 
-    towards: np.ndarray
-    rgb: np.ndarray
-    widths: np.ndarray
-    visibility: np.ndarray
-    soft_visibility: np.ndarray
+    towards: ndarray
+    rgb: ndarray
+    widths: ndarray
+    visibility: ndarray
+    soft_visibility: ndarray
 
 
-def harmonic_terms(soft: np.ndarray, ambient: np.ndarray) -> np.ndarray:
+def harmonic_terms(soft: ndarray, ambient: ndarray) -> ndarray:
     """(9, 3) float32 factors of 1, y, z, x, xy, yz, 3z^2 - 1, xz, x^2 - y^2; without
     harmonics the first alone.
     """
@@ -64,7 +65,7 @@ def harmonic_terms(soft: np.ndarray, ambient: np.ndarray) -> np.ndarray:
     return out.astype(np.float32)
 
 
-def highlight_width(size_deg: np.ndarray) -> np.ndarray:
+def highlight_width(size_deg: ndarray) -> ndarray:
     """What a light's disc (full angle) adds to roughness^4: a disc of radius a spreads
     half-vectors by a^2 / 16, the lobe's own spread is roughness^4 / 2."""
     return (np.radians(np.asarray(size_deg, float) / 2) ** 2 / 8).astype(np.float32)
@@ -142,14 +143,14 @@ def half_vector(n_v, n_l, v_l):  # pragma: no cover - compiled
 
 def shade(
     surface: Surface,
-    eye: np.ndarray,
+    eye: ndarray,
     lights: Lights,
-    soft: np.ndarray,
+    soft: ndarray,
     environment: Environment,
     mirrors: np.float32,
-    table: np.ndarray,
-    bias: np.ndarray,
-) -> np.ndarray:
+    table: ndarray,
+    bias: ndarray,
+) -> ndarray:
     """(h, w, 3) float32, premultiplied by the coverage.
 
     eye (3,) : the camera, WORLD frame;  soft (9, 3) : of `harmonic_terms`

@@ -19,6 +19,7 @@ from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers, neutral, packed
@@ -103,7 +104,7 @@ class Prepared:
     region: ShadowRegion
     soft: tuple[PlaneTexture, ...]
     visibility: SoftVisibility | None
-    grid: np.ndarray
+    grid: ndarray
 
 
 class Lightmap(Stage):
@@ -165,7 +166,7 @@ class Lightmap(Stage):
 
     def _virtual(
         self, now: Layers, view: View, prepared: Prepared, light: FrameLight
-    ) -> np.ndarray:
+    ) -> ndarray:
         """now : its part with the object"""
         if now.rect.empty:
             return neutral(Layer.VIRTUAL, now.rect)
@@ -189,7 +190,7 @@ class Lightmap(Stage):
         prepared: Prepared,
         light: FrameLight,
         reaching: Sequence[int],
-    ) -> np.ndarray:
+    ) -> ndarray:
         """(1 + k, h, w) float32: shares of the soft light, and of the lights `reaching`, that
         the object leaves itself."""
         seen = surface.coverage, surface.normal, surface.position
@@ -228,13 +229,13 @@ class Lightmap(Stage):
     def shaded(
         self,
         surface: Surface,
-        soft_visibility: np.ndarray,
-        visibility: np.ndarray,
+        soft_visibility: ndarray,
+        visibility: ndarray,
         reaching: Sequence[int],
         light: FrameLight,
         view: View,
         now: Layers,
-    ) -> np.ndarray:
+    ) -> ndarray:
         """VIRTUAL. soft_visibility (h, w), visibility (k, h, w) : of the soft light and of
         each of the lights `reaching`, past
         the object;  now : the layers of the surface's rectangle, for its coats"""

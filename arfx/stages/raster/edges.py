@@ -8,6 +8,7 @@ does not tell (cut-outs, parts that pass through each other) comes from neighbou
 from __future__ import annotations
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.camera import Camera
 from arfx.core.compiled import kernel
@@ -33,9 +34,9 @@ def edge_pixels(
     camera: Camera,
     view: View,
     rect: Rect,
-    face: np.ndarray,
-    depth: np.ndarray,
-) -> np.ndarray:
+    face: ndarray,
+    depth: ndarray,
+) -> ndarray:
     """(h, w) bool, pixels of `rect` with more than one surface in them.
 
     face, depth : (h, w), what their centres see, -1 and inf = nothing
@@ -51,7 +52,7 @@ def edge_pixels(
     return mask
 
 
-def _visible_edges(mesh: SceneMesh, view: View) -> np.ndarray:
+def _visible_edges(mesh: SceneMesh, view: View) -> ndarray:
     """(e, 2) vertices of edges that are an outline, or sharp with a side that is seen."""
     normal = mesh.face_normal @ view.rotation.T
     front = (normal * view.points[mesh.faces[:, 0]]).sum(1) < 0
@@ -64,8 +65,8 @@ def _visible_edges(mesh: SceneMesh, view: View) -> np.ndarray:
 
 
 def _points_along(
-    mesh: SceneMesh, camera: Camera, view: View, ends: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    mesh: SceneMesh, camera: Camera, view: View, ends: ndarray
+) -> tuple[ndarray, ndarray]:
     """Places (n, 2) px, counted from the corner of pixel 0, along edges (e, 2) and their depths."""
     z = view.points[ends, 2]
     xy = divide(view.points[ends, :2], z[..., None])

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.camera import Camera
 from arfx.core.rect import Rect
@@ -35,14 +36,12 @@ class Picture(NamedTuple):
     """scale, shift : (2,) a direction's place is direction * scale + shift, in texels
     width, height : texels"""
 
-    scale: np.ndarray
-    shift: np.ndarray
+    scale: ndarray
+    shift: ndarray
     width: int
     height: int
 
-    def looked_up(
-        self, numbers: np.ndarray, x: np.ndarray, y: np.ndarray
-    ) -> np.ndarray:
+    def looked_up(self, numbers: ndarray, x: ndarray, y: ndarray) -> ndarray:
         """int32 of `numbers` (texels,), bottom row first, along directions; -1 beyond."""
         with np.errstate(invalid="ignore"):
             column = np.floor(x * self.scale[0] + self.shift[0] + 0.5)
@@ -89,8 +88,8 @@ class GlFaces:
             numbers = self._drawn(view, picture, near, far)
 
         def nearest(
-            x: np.ndarray, y: np.ndarray, pixels: np.ndarray | None = None
-        ) -> tuple[np.ndarray, np.ndarray]:
+            x: ndarray, y: ndarray, pixels: ndarray | None = None
+        ) -> tuple[ndarray, ndarray]:
             face = picture.looked_up(numbers, x, y)
             depth = depths_along(points, faces, face.ravel(), x.ravel(), y.ravel())
             return face, depth.reshape(x.shape)
@@ -99,7 +98,7 @@ class GlFaces:
 
     def _drawn(
         self, view: View, picture: Picture, near: float, far: float
-    ) -> np.ndarray:
+    ) -> ndarray:
         """(texels,) int32 numbers of faces, -1 = none, bottom row first."""
         middle = picture.shift + 0.5
         ideal = self.context.pyrender.IntrinsicsCamera(

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.scene_mesh import SceneMesh
 from arfx.errors import RenderError
@@ -42,8 +43,8 @@ class Drawing:
         self.programs = ShaderProgramCache(shader_dir=_SHADERS)
 
     def __call__(
-        self, view: np.ndarray, projection: np.ndarray, width: int, height: int
-    ) -> np.ndarray:
+        self, view: ndarray, projection: ndarray, width: int, height: int
+    ) -> ndarray:
         """(height * width,) int32, number of the nearest face, -1 = none, bottom row first.
 
         view, projection : (4, 4);  width, height : texels"""

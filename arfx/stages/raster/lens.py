@@ -10,6 +10,7 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.camera import Camera
 from arfx.core.rect import Rect
@@ -29,7 +30,7 @@ class LensTable:
     def __init__(self, camera: Camera) -> None:
         self.camera = camera
 
-    def directions(self, rect: Rect) -> np.ndarray:
+    def directions(self, rect: Rect) -> ndarray:
         """(h, w, 2) float32 (x/z, y/z) at the pixel centres of `rect`, which may pass the
         frame by MARGIN_PX.
 
@@ -62,7 +63,7 @@ class LensTable:
         )
         return float(sum(bends) + 2 * mixed)
 
-    def at(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    def at(self, rows: ndarray, columns: ndarray) -> ndarray:
         """(len(rows), len(columns), 2) float64 directions at fractional pixel positions,
         within the margin.
         """
@@ -87,7 +88,7 @@ class LensTable:
         return tuple(RectBivariateSpline(y, x, nodes[..., k]) for k in range(2))
 
     @cached_property
-    def _table(self) -> np.ndarray:
+    def _table(self) -> ndarray:
         r = self.camera.rect.pad(MARGIN_PX)
         return self.at(
             np.arange(r.y0, r.y1, dtype=float), np.arange(r.x0, r.x1, dtype=float)

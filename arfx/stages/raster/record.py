@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.layers import Layer
 
@@ -23,14 +24,14 @@ ALL_COLUMNS = 24
 class GBuffer(NamedTuple):
     """The layers that this stage always writes, over one rectangle."""
 
-    coverage: np.ndarray
-    depth: np.ndarray
-    normal: np.ndarray
-    position: np.ndarray
-    albedo: np.ndarray
-    material: np.ndarray
-    emissive: np.ndarray
-    object_id: np.ndarray
+    coverage: ndarray
+    depth: ndarray
+    normal: ndarray
+    position: ndarray
+    albedo: ndarray
+    material: ndarray
+    emissive: ndarray
+    object_id: ndarray
 
 
 OUTPUTS = tuple(Layer(name) for name in GBuffer._fields)
@@ -51,11 +52,11 @@ class View(NamedTuple):
     eye : (3,) float64, world;  pixel : side of a pixel at depth 1
     taps : of a texture along the short side of a sample, at most"""
 
-    x: np.ndarray
-    y: np.ndarray
-    points: np.ndarray
-    rotation: np.ndarray
-    eye: np.ndarray
+    x: ndarray
+    y: ndarray
+    points: ndarray
+    rotation: ndarray
+    eye: ndarray
     pixel: float
     taps: int
 
@@ -63,7 +64,7 @@ class View(NamedTuple):
 MARGIN = 2
 
 
-def bounds_of(view: View) -> tuple[np.ndarray, np.ndarray]:
+def bounds_of(view: View) -> tuple[ndarray, ndarray]:
     """The least and the greatest x and y (2,) of the directions; inf, -inf without any."""
     low, high = (
         np.array([bound(a, initial=start) for a in (view.x, view.y)])
@@ -82,23 +83,23 @@ class Rays(NamedTuple):
     depth : (k,) float32, of the first surface that shows, inf = none
     part : (k,) int32, its part, -1 = none"""
 
-    pixel: np.ndarray
-    face: np.ndarray
-    x: np.ndarray
-    y: np.ndarray
-    share: np.ndarray
-    clear: np.ndarray
-    reached: np.ndarray
-    depth: np.ndarray
-    part: np.ndarray
+    pixel: ndarray
+    face: ndarray
+    x: ndarray
+    y: ndarray
+    share: ndarray
+    clear: ndarray
+    reached: ndarray
+    depth: ndarray
+    part: ndarray
 
 
 def rays_through(
-    pixel: np.ndarray,
-    face: np.ndarray,
-    x: np.ndarray,
-    y: np.ndarray,
-    share: np.ndarray,
+    pixel: ndarray,
+    face: ndarray,
+    x: ndarray,
+    y: ndarray,
+    share: ndarray,
 ) -> Rays:
     """Rays that have met nothing yet."""
     count = len(face)
@@ -117,4 +118,4 @@ def rays_through(
 
 # Face, -1 = none, and depth along directions x, y: (h, w) of the rectangle's pixels, or (n, s) of
 # the samples of pixels (n,), which are numbered within it.
-NearestFaces = Callable[..., tuple[np.ndarray, np.ndarray]]
+NearestFaces = Callable[..., tuple[ndarray, ndarray]]

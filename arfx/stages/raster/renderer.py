@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.camera import Camera
 from arfx.core.layers import Layer, neutral
@@ -53,7 +54,7 @@ class FacesSeen(Protocol):
     offsets : (s, 2) places of a pixel's samples, px from its centre
     any_rectangle : a pixel comes out the same whatever rectangle it is in"""
 
-    offsets: np.ndarray
+    offsets: ndarray
     any_rectangle: bool
 
     def frame(self, view: View, rect: Rect) -> NearestFaces: ...
@@ -93,12 +94,12 @@ class Renderer:
             Triangles(mesh.corners_m, robust=True) if self.layered else None
         )
 
-    def nothing(self, rect: Rect) -> dict[Layer, np.ndarray]:
+    def nothing(self, rect: Rect) -> dict[Layer, ndarray]:
         """All layers that this model has, as if it were not seen."""
         names = (*OUTPUTS, *EXTRA_OUTPUTS) if self.extras else OUTPUTS
         return {name: neutral(name, rect) for name in names}
 
-    def render(self, rect: Rect, camera_from_world: Pose) -> dict[Layer, np.ndarray]:
+    def render(self, rect: Rect, camera_from_world: Pose) -> dict[Layer, ndarray]:
         """All layers of OUTPUTS over `rect`, which lies in the frame; those of EXTRA_OUTPUTS for a
         model that has any of them."""
         out = self.nothing(rect)
@@ -113,7 +114,7 @@ class Renderer:
         return out
 
     def _strip(
-        self, rect: Rect, camera_from_world: Pose, out: dict[Layer, np.ndarray]
+        self, rect: Rect, camera_from_world: Pose, out: dict[Layer, ndarray]
     ) -> None:
         view = self._view(rect, camera_from_world)
         # One pixel more on each side: a pixel's neighbours do not depend on the rectangle.
@@ -158,11 +159,11 @@ class Renderer:
 
     def _sampled(
         self,
-        pixels: np.ndarray,
-        centre: Sequence[np.ndarray],
-        samples: Sequence[np.ndarray],
+        pixels: ndarray,
+        centre: Sequence[ndarray],
+        samples: Sequence[ndarray],
         view: View,
-        out: dict[Layer, np.ndarray],
+        out: dict[Layer, ndarray],
     ) -> None:
         """Write pixels (n,) of `out`, each from its samples; depth and part are the centre's, where
         that meets anything, else those of the sample next to it that does.
@@ -194,12 +195,12 @@ class Renderer:
 
     def _write(
         self,
-        pixels: np.ndarray,
-        part: np.ndarray,
-        depth: np.ndarray,
-        sums: np.ndarray,
+        pixels: ndarray,
+        part: ndarray,
+        depth: ndarray,
+        sums: ndarray,
         view: View,
-        out: dict[Layer, np.ndarray],
+        out: dict[Layer, ndarray],
     ) -> None:
         """Write pixels (n,) from their sums; as `resolve`."""
         resolve(
@@ -226,7 +227,7 @@ class Renderer:
             self.taps,
         )
 
-    def _follow(self, rays: Rays, count: int, view: View) -> np.ndarray:
+    def _follow(self, rays: Rays, count: int, view: View) -> ndarray:
         """(count, columns) sums of what the rays meet, layer by layer, for each pixel."""
         sums = np.zeros(
             (count, ALL_COLUMNS if self.extras else PLAIN_COLUMNS), np.float32
@@ -254,8 +255,8 @@ class Renderer:
 
 
 def _around(
-    directions: np.ndarray, row: np.ndarray, column: np.ndarray, offsets: np.ndarray
-) -> np.ndarray:
+    directions: ndarray, row: ndarray, column: ndarray, offsets: ndarray
+) -> ndarray:
     """(n, s) directions at `offsets` (s, 2) px from pixels (n,), linear between pixels."""
     centre = directions[row, column][:, None]
     across = (directions[row, column + 1] - directions[row, column - 1])[:, None] / 2

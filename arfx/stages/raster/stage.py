@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
+from numpy import ndarray
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
@@ -80,16 +80,16 @@ class Raster(Stage):
         samples = samples or backend.samples[level]
         return Renderer(scene.mesh_at(0.0), scene.camera, backend.find_faces, samples)
 
-    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, ndarray]:
         rect, box = view.rect, view.facts.raster_box.clip(view.scene.camera.rect)
         shown = box.clip(rect)
         if shown.empty:
             return prepared.nothing(rect)
         area = shown if prepared.faces.any_rectangle else box
-        layers: dict[Layer, np.ndarray] = prepared.render(area, view.pose)
+        layers: dict[Layer, ndarray] = prepared.render(area, view.pose)
         if area == rect:
             return layers
-        out: dict[Layer, np.ndarray] = prepared.nothing(rect)
+        out: dict[Layer, ndarray] = prepared.nothing(rect)
         for name in layers:
             out[name][shown.slices_in(rect)] = layers[name][shown.slices_in(area)]
         return out

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.model import BLEND, MASK, OPAQUE, TEXTURE_SLOTS, Material, Texture
 from arfx.core.scene_mesh import SceneMesh
@@ -40,20 +41,20 @@ class SurfaceTables(NamedTuple):
     laid : (p, 9, 2, 3) float32, picture_from_uv of each slot;  slots : used by any part
     texels, table : of `TextureStack`"""
 
-    faces: np.ndarray
-    part: np.ndarray
-    face_normal: np.ndarray
-    normals: np.ndarray
-    tangents: np.ndarray
-    colours: np.ndarray
-    uv: np.ndarray
-    floats: np.ndarray
-    ints: np.ndarray
-    uv_first: np.ndarray
-    laid: np.ndarray
+    faces: ndarray
+    part: ndarray
+    face_normal: ndarray
+    normals: ndarray
+    tangents: ndarray
+    colours: ndarray
+    uv: ndarray
+    floats: ndarray
+    ints: ndarray
+    uv_first: ndarray
+    laid: ndarray
     slots: int
-    texels: np.ndarray
-    table: np.ndarray
+    texels: ndarray
+    table: ndarray
 
 
 def surface_tables(mesh: SceneMesh) -> SurfaceTables:

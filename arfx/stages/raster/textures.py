@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.colour import SRGB
 from arfx.core.model import CLAMP, MIRROR, REPEAT, Texture
@@ -26,8 +27,8 @@ _FROM_SRGB = np.round(SRGB.decode(np.arange(256) / 255) * FULL).astype(np.uint16
 class TextureStack(NamedTuple):
     """texels : (n, 4) uint16, FULL = 1, all levels of all textures;  table : (k, columns) int64"""
 
-    texels: np.ndarray
-    table: np.ndarray
+    texels: ndarray
+    table: ndarray
 
 
 def texture_stack(uses: Sequence[tuple[Texture, bool]]) -> TextureStack:
@@ -55,23 +56,21 @@ def texture_stack(uses: Sequence[tuple[Texture, bool]]) -> TextureStack:
     return TextureStack(texels, table)
 
 
-def level_sizes(picture: np.ndarray) -> list[tuple[int, int]]:
+def level_sizes(picture: ndarray) -> list[tuple[int, int]]:
     """(width, height) of its pyramid's levels, down to one texel."""
     height, width = picture.shape[:2]
     count = min(max(width, height).bit_length(), MAX_LEVELS)
     return [(max(width >> k, 1), max(height >> k, 1)) for k in range(count)]
 
 
-def write_pyramid(
-    picture: np.ndarray, srgb: bool, texels: np.ndarray
-) -> list[np.ndarray]:
+def write_pyramid(picture: ndarray, srgb: bool, texels: ndarray) -> list[ndarray]:
     """Levels (h, w, 4) uint16 in linear light, which lie in `texels` (n, 4), one after the other;
     missing channels are full."""
     height, width, channels = picture.shape
     whole = np.full((height, width, 4), 255, np.uint8)
     whole[..., :channels] = picture
     table = np.stack([_FROM_SRGB if srgb else _LINEAR] * 3 + [_LINEAR], -1)
-    levels: list[np.ndarray] = []
+    levels: list[ndarray] = []
     start = 0
     for size in level_sizes(picture):
         end = start + size[0] * size[1]

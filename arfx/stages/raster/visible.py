@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.camera import Camera
 from arfx.core.compiled import kernel
@@ -27,7 +28,7 @@ _SAMPLE_PX = 0.501  # samples lie this far from their pixel's centre
 _BOW = 1 / 8
 
 
-def lattice(count: int) -> np.ndarray:
+def lattice(count: int) -> ndarray:
     """(count, 2) offsets in px, -0.5..0.5: every column and every row of a count x count grid holds
     one, at steps of the golden section (Korobov). Edges at all angles are a quarter better covered
     than by Hammersley's points."""
@@ -45,10 +46,10 @@ class Projection(NamedTuple):
     hidden : (m,) bool, faces that are not seen from behind;  curvature : of the lens, 1 / px
     """
 
-    pixels: np.ndarray
-    points: np.ndarray
-    faces: np.ndarray
-    hidden: np.ndarray
+    pixels: ndarray
+    points: ndarray
+    faces: ndarray
+    hidden: ndarray
     curvature: float
     near: float
 
@@ -77,8 +78,8 @@ class RayFaces:
         )
 
         def nearest(
-            x: np.ndarray, y: np.ndarray, pixels: np.ndarray | None = None
-        ) -> tuple[np.ndarray, np.ndarray]:
+            x: ndarray, y: ndarray, pixels: ndarray | None = None
+        ) -> tuple[ndarray, ndarray]:
             if pixels is None:
                 return nearest_faces(projection, x, y)
             slot = np.full((rect.height, rect.width), -1, np.int32)

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.compiled import FAST, kernel
 from arfx.core.parallel import parallel_rows
@@ -30,15 +31,15 @@ _F = np.float32
 
 
 def mean_colours(
-    image: np.ndarray, labellings: Sequence[np.ndarray], count: int
-) -> tuple[np.ndarray, np.ndarray]:
+    image: ndarray, labellings: Sequence[ndarray], count: int
+) -> tuple[ndarray, ndarray]:
     """((count, 3) float32 mean linear RGB of each cell, black without a pixel; (count,) float32
     its pixels, the mean over the labellings). Sums are float64.
 
     image : (h, w, 3) float32;  labellings : (h, w) int32 each, 0 ... count - 1"""
     height, width = image.shape[:2]
 
-    def sums(labels: np.ndarray, first: int, last: int) -> np.ndarray:
+    def sums(labels: ndarray, first: int, last: int) -> ndarray:
         total = np.zeros((count, 4))
         _sum_rows(image, labels, first, last, total)
         return total
@@ -67,9 +68,7 @@ def _sum_rows(image, labels, first, last, total):  # pragma: no cover - compiled
             total[k, 3] += 1.0
 
 
-def neighbours(
-    x: np.ndarray, y: np.ndarray, size: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def neighbours(x: ndarray, y: ndarray, size: ndarray) -> tuple[ndarray, ndarray]:
     """(near (n, NEIGHBOURS) int32 sites around each, the nearest, itself behind the last; weight
     (n, NEIGHBOURS) float32 0..1).
 
@@ -139,14 +138,14 @@ def _find_neighbours(
 
 
 def smooth_washes(
-    colours: np.ndarray,
-    near: np.ndarray,
-    weight: np.ndarray,
-    area: np.ndarray,
+    colours: ndarray,
+    near: ndarray,
+    weight: ndarray,
+    area: ndarray,
     contrast: float,
     rounds: int,
     step: float = 1.0,
-) -> np.ndarray:
+) -> ndarray:
     """(n, 3) float32 square roots of the colours (near to what is coded), alike neighbours drawn
     together.
 
@@ -194,8 +193,8 @@ def _smooth_round(
 
 
 def adjust_tone(
-    root: np.ndarray, lightness: float, saturation: float, deepest: float
-) -> np.ndarray:
+    root: ndarray, lightness: float, saturation: float, deepest: float
+) -> ndarray:
     """(n, 3) float32 square roots of colours, thinner (paper shows through) and more or less
     saturated.
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
@@ -34,7 +35,7 @@ def pad_px(cell_px: float) -> int:
     return int(np.ceil(2.5 * _COARSEST * cell_px))
 
 
-def real_dioptre(depth_m: np.ndarray, field: SiteField) -> np.ndarray:
+def real_dioptre(depth_m: ndarray, field: SiteField) -> ndarray:
     """(gh, gw) 1/m, as far as the next nodes around each; outside the picture that of its border.
 
     depth_m : (h, w) over the whole frame; what is not finite is infinitely far"""
@@ -56,7 +57,7 @@ def frame_field(
     scene: Scene,
     cell_px: float,
     nearer_finer: float,
-    real_m: np.ndarray | None = None,
+    real_m: ndarray | None = None,
 ) -> tuple[SiteField, Pose | None]:
     """The field, and the pose that goes with it: the same as long as the field is.
 
@@ -78,7 +79,7 @@ def frame_field(
     return field, pose
 
 
-def detail_factor(detail: np.ndarray) -> np.ndarray:
+def detail_factor(detail: ndarray) -> ndarray:
     """(gh, gw) factor on the size of cells: larger where there is little to see, smaller where
     there is much. detail : (gh, gw) 0..255"""
     fraction = np.minimum(detail / (255 * _MUCH), 1.0)
@@ -88,8 +89,8 @@ def detail_factor(detail: np.ndarray) -> np.ndarray:
 
 
 def nearness(
-    field: SiteField, scene: Scene, pose: Pose | None, real_m: np.ndarray | None
-) -> np.ndarray | None:
+    field: SiteField, scene: Scene, pose: Pose | None, real_m: ndarray | None
+) -> ndarray | None:
     """(gh, gw) depth of the marker / depth at the nodes, without a marker their mean / depth; None
     where nothing is known."""
     dioptre = None if real_m is None else real_dioptre(real_m, field)
@@ -108,8 +109,8 @@ def marker_depth_m(camera_from_anchor: Pose) -> float:
 
 
 def plane_dioptre(
-    x: np.ndarray, y: np.ndarray, camera: Camera, camera_from_anchor: Pose
-) -> np.ndarray:
+    x: ndarray, y: ndarray, camera: Camera, camera_from_anchor: Pose
+) -> ndarray:
     """(h, w) 1 / depth of the marker's plane at columns x (w,) and rows y (h, 1), not above 0 where
     it is not seen.
 
@@ -129,7 +130,7 @@ def nearness_limits(strength: float) -> tuple[float, float]:
     return 1 / _COARSEST**power, 1 / _FINEST**power
 
 
-def nearness_factor(near: np.ndarray, strength: float) -> np.ndarray:
+def nearness_factor(near: ndarray, strength: float) -> ndarray:
     """Factor on the size of cells. near : depth of the marker / depth;  strength : > 0, 1 = size in
     proportion to depth"""
     return np.asarray(np.clip(near, *nearness_limits(strength)) ** -strength)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.compiled import line_kernel
 from arfx.stages.watercolor.sites import STEPS
@@ -39,9 +40,9 @@ class Buckets(NamedTuple):
     position (3, n + STEP) : x, y from the first square's corner, 1/STEPS px; weight
     start (rows columns + 1), order (n,) : of `labels.bucket_sites`"""
 
-    position: np.ndarray
-    order: np.ndarray
-    start: np.ndarray
+    position: ndarray
+    order: ndarray
+    start: ndarray
     side: int
     rows: int
     columns: int
@@ -50,18 +51,18 @@ class Buckets(NamedTuple):
 class LocalSites(NamedTuple):
     """Sites around a tile, (n,) each: position from its middle, weight, number in the buckets"""
 
-    x: np.ndarray
-    y: np.ndarray
-    weight: np.ndarray
-    number: np.ndarray
+    x: ndarray
+    y: ndarray
+    weight: ndarray
+    number: ndarray
 
 
 class Candidates(NamedTuple):
     """(n,) each: the packed number of a site at (px, py) is a px + b py + c, see `pack`"""
 
-    a: np.ndarray
-    b: np.ndarray
-    c: np.ndarray
+    a: ndarray
+    b: ndarray
+    c: ndarray
 
 
 @line_kernel()

@@ -15,6 +15,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.compiled import kernel
 from arfx.core.parallel import parallel_rows
@@ -49,13 +50,13 @@ class Labels:
     inside (h, w) uint8 : 0 on the border between both, SOLID from `blend_px` off it
     count : of sites;  second and inside are (0, 0) where borders were not asked for"""
 
-    first: np.ndarray
-    second: np.ndarray
-    inside: np.ndarray
+    first: ndarray
+    second: ndarray
+    inside: ndarray
     count: int
 
     def overlaid(
-        self, other: Labels, where: np.ndarray, part: tuple[slice, slice]
+        self, other: Labels, where: ndarray, part: tuple[slice, slice]
     ) -> Labels:
         """With those of `other`, numbered on from these, at its pixels `where`.
 
@@ -81,13 +82,13 @@ class Wobble(NamedTuple):
         the tile's middle;  boxes (n, n, 4) float32 : around these: middle, half sides
     x, y : where in it pixel (0, 0) of the frame lies, px"""
 
-    positions: np.ndarray
-    boxes: np.ndarray
+    positions: ndarray
+    boxes: ndarray
     x: int = 0
     y: int = 0
 
 
-def make_wobble(tile: np.ndarray) -> Wobble:
+def make_wobble(tile: ndarray) -> Wobble:
     """tile (2, m, m) whole numbers of 1/STEPS px, along x and y; m a multiple of TILE."""
     n = tile.shape[1] // TILE
     own = np.arange(TILE, dtype=np.float32) * STEPS - MIDDLE
@@ -129,7 +130,7 @@ def label(
     rect: Rect,
     wobble: Wobble = STILL,
     blend_px: float = 0.0,
-    mask: np.ndarray = EVERY_PIXEL,
+    mask: ndarray = EVERY_PIXEL,
 ) -> Labels:
     """Labels of the pixels of `rect`.
 
@@ -157,12 +158,12 @@ def label(
 
 
 def bucket_sites(
-    sites: tuple[np.ndarray, np.ndarray],
+    sites: tuple[ndarray, ndarray],
     corner: tuple[float, float],
     side: float,
     rows: int,
     columns: int,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[ndarray, ndarray]:
     """(start (rows columns + 1), order (n,)) : sites by bucket, in each by number.
 
     Sites outside count to the nearest bucket. sites : x, y, 1/STEPS px;  corner, side : px"""

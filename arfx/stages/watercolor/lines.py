@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.colour import LUMA_COEFFICIENTS
 from arfx.core.compiled import FAST, kernel
@@ -36,12 +37,12 @@ class Edges(NamedTuple):
     measure : as printed, coded value per px of that grid
     across_x, across_y : unit direction across the edge"""
 
-    measure: np.ndarray
-    across_x: np.ndarray
-    across_y: np.ndarray
+    measure: ndarray
+    across_x: ndarray
+    across_y: ndarray
 
 
-def yuv_matrix(name: str = "bt601") -> np.ndarray:
+def yuv_matrix(name: str = "bt601") -> ndarray:
     """(3, 3) float64 analogue Y'UV of R'G'B': U = .492 (B' - Y'), V = .877 (R' - Y')."""
     red, blue = LUMA_COEFFICIENTS[name]
     y = np.array([red, 1 - red - blue, blue])
@@ -51,7 +52,7 @@ def yuv_matrix(name: str = "bt601") -> np.ndarray:
 
 
 def measure_edges(
-    image: np.ndarray,
+    image: ndarray,
     smooth_px: float = SMOOTH_PX,
     alpha: float = ALPHA,
     beta: float = BETA,
@@ -114,8 +115,8 @@ def _measure_rows(
 
 
 def object_edges(
-    coverage: np.ndarray, normal: np.ndarray, depth: np.ndarray, opacity: float
-) -> np.ndarray:
+    coverage: ndarray, normal: ndarray, depth: ndarray, opacity: float
+) -> ndarray:
     """(ceil(h / 2), ceil(w / 2)) float32, 0..1: silhouettes from coverage, creases, jumps of depth.
 
     coverage (h, w), normal (h, w, 3), depth (h, w) metres; a depth that is not finite is none
@@ -142,7 +143,7 @@ def object_edges(
 
 
 def add_object_edges(
-    edges: Edges, of_object: np.ndarray, column: int, row: int, high: float
+    edges: Edges, of_object: ndarray, column: int, row: int, high: float
 ) -> None:
     """Let edges of the object count as strong lines, across their own gradient.
 
@@ -164,7 +165,7 @@ def add_object_edges(
     measure[stronger] = strength[stronger]
 
 
-def trace_lines(edges: Edges, low: float, high: float, width_px: float) -> np.ndarray:
+def trace_lines(edges: Edges, low: float, high: float, width_px: float) -> ndarray:
     """(h, w) float32 strength of lines, 0..1, on the grid of the edges.
 
     low, high : below low there is no line, a line that nowhere reaches high fades as a whole
@@ -226,7 +227,7 @@ def _between(a, x, y):  # pragma: no cover - compiled
     return above + t * (below - above)
 
 
-def enlarge_lines(strength: np.ndarray, height: int, width: int) -> np.ndarray:
+def enlarge_lines(strength: ndarray, height: int, width: int) -> ndarray:
     """(height, width) of lines on a grid of half the size."""
     size = 2 * strength.shape[1], 2 * strength.shape[0]
     large = cv2.resize(strength, size, interpolation=cv2.INTER_LINEAR)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.numerics import EPS_DEPTH_M, normalise, same_rows
 from arfx.core.pose import Pose
@@ -35,9 +36,9 @@ class SurfacePoints:
     which a point counts
     extent_m : largest side of the model"""
 
-    points: np.ndarray
-    normals: np.ndarray
-    importance: np.ndarray
+    points: ndarray
+    normals: ndarray
+    importance: ndarray
     extent_m: float
 
 
@@ -59,7 +60,7 @@ def sample_surface(scene: Scene, seed: int) -> SurfacePoints:
     return SurfacePoints(points, normals, importance, extent)
 
 
-def _importance(points: np.ndarray, extent: float) -> np.ndarray:
+def _importance(points: ndarray, extent: float) -> ndarray:
     """log2 metres. The lowest number in a cell is its first; it is the first of one of the cell's
     parts as well."""
     finest = np.log2(extent) - _LEVELS + 1
@@ -90,7 +91,7 @@ def object_sites(
     camera_from_world: Pose,
     cell_px: float,
     nearer_finer: float,
-) -> tuple[Sites, np.ndarray]:
+) -> tuple[Sites, ndarray]:
     """(sites of the points that face the camera, at about one per cell; (points,) float32 size of
     the cell of each, px).
 

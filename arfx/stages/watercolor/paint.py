@@ -9,6 +9,7 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.compiled import FAST, kernel
 from arfx.core.parallel import parallel_rows
@@ -23,18 +24,18 @@ DRY_BRUSH = 2.3  # how much more the grain shows in lines than in washes
 _F = np.float32
 
 
-How = tuple[np.float32, np.float32, np.ndarray]
+How = tuple[np.float32, np.float32, ndarray]
 
 
 def painted(
-    image: np.ndarray,
-    lines: np.ndarray,
+    image: ndarray,
+    lines: ndarray,
     corner: tuple[int, int],
-    cells: np.ndarray,
-    paper: np.ndarray,
+    cells: ndarray,
+    paper: ndarray,
     how: How,
     labels: Labels,
-) -> np.ndarray:
+) -> ndarray:
     """(h, w, 3) float32 linear: the picture with pigment.
 
     image : (h, w, 3) linear, of which the means are;  lines (h, w) : their strength, 0..1

@@ -11,6 +11,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.compiled import kernel
 from arfx.stages.watercolor.sites import STEPS
@@ -23,7 +24,7 @@ WOBBLE_PX = 256  # side of the tile by which borders stray
 
 def smooth_noise(
     side: int, wavelength_px: float, rng: np.random.Generator
-) -> np.ndarray:
+) -> ndarray:
     """(side, side) float64 band of noise that repeats without a seam, variance 1; made in the
     frequency domain."""
     spectrum = np.fft.rfft2(rng.standard_normal((side, side)))
@@ -34,7 +35,7 @@ def smooth_noise(
     return np.asarray(picture / max(float(picture.std()), 1e-12))
 
 
-def paper_grain(seed: int) -> np.ndarray:
+def paper_grain(seed: int) -> ndarray:
     """(PAPER_PX, PAPER_PX) float32 height of the paper, -1..1, about .4 rms: bumps of GRAIN_PX on
     a slower felt."""
     rng = np.random.default_rng([seed, 0x9A9E])
@@ -45,7 +46,7 @@ def paper_grain(seed: int) -> np.ndarray:
 
 def wobble_tile(
     seed: int, amplitude_px: float, first: tuple[float, float] = (0.0, 0.0)
-) -> np.ndarray:
+) -> ndarray:
     """(2, WOBBLE_PX, WOBBLE_PX) float32 displacement, in whole 1/STEPS px, that repeats without a
     seam. first : (x, y) px of the noise at which the first pixel lies"""
     fy = np.fft.fftfreq(WOBBLE_PX)[:, None]
@@ -53,22 +54,22 @@ def wobble_tile(
     turn = np.exp(2j * np.pi * (fy * first[1] + fx * first[0]))
     spectra = _wobble_spectra(seed, 4 * amplitude_px + 6)
     tile = np.fft.irfft2(spectra * turn, (WOBBLE_PX, WOBBLE_PX)) * (amplitude_px / 2)
-    out: np.ndarray = np.round(np.clip(tile, -amplitude_px, amplitude_px) * STEPS)
+    out: ndarray = np.round(np.clip(tile, -amplitude_px, amplitude_px) * STEPS)
     return out.astype(np.float32)
 
 
 @lru_cache(maxsize=2)
-def _wobble_spectra(seed: int, wavelength_px: float) -> np.ndarray:
+def _wobble_spectra(seed: int, wavelength_px: float) -> ndarray:
     rng = np.random.default_rng([seed, 0x30BB])
     return np.stack(
         [np.fft.rfft2(smooth_noise(WOBBLE_PX, wavelength_px, rng)) for _ in range(2)]
     )
 
 
-def turbulence(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
+def turbulence(u: ndarray, v: ndarray, seed: int) -> ndarray:
     """(n,) float32 slow noise at positions (u, v) (n,) float32 px, about -1..1: three octaves from
     FLOW_PX down."""
-    out: np.ndarray = _turbulence(
+    out: ndarray = _turbulence(
         u, v, np.uint32(seed & 0xFFFFFFFF), np.float32(1 / FLOW_PX)
     )
     return out

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.compiled import kernel
 from arfx.core.parallel import parallel_rows
@@ -39,12 +40,12 @@ class Sites:
     key (n,) int64 : which site it is, the same in every frame
     u, v (n,) float32 : position in the coordinates of the thing painted, px"""
 
-    x: np.ndarray
-    y: np.ndarray
-    weight: np.ndarray
-    key: np.ndarray
-    u: np.ndarray
-    v: np.ndarray
+    x: ndarray
+    y: ndarray
+    weight: ndarray
+    key: ndarray
+    u: ndarray
+    v: ndarray
 
     def __len__(self) -> int:
         return len(self.x)
@@ -65,11 +66,11 @@ class SiteField:
 
     x0: int
     y0: int
-    u: np.ndarray
-    v: np.ndarray
-    size: np.ndarray
+    u: ndarray
+    v: ndarray
+    size: ndarray
 
-    def nodes(self) -> tuple[np.ndarray, np.ndarray]:
+    def nodes(self) -> tuple[ndarray, ndarray]:
         """Columns (gw,) and rows (gh, 1) px of the frame at which they are."""
         rows, columns = self.u.shape
         y = self.y0 + GRID_PX * np.arange(rows)[:, None]

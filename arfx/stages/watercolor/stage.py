@@ -23,6 +23,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, packed
@@ -103,16 +104,16 @@ class CellSet:
     near, weight (n, k) : of cells.neighbours"""
 
     labels: tuple[Labels, ...]
-    flow: np.ndarray
-    near: np.ndarray
-    weight: np.ndarray
+    flow: ndarray
+    near: ndarray
+    weight: ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
     """Of one clip, worker and level. paper : of `paper_grain`"""
 
-    paper: np.ndarray
+    paper: ndarray
     wobbles: Wobbles
     surface: SurfacePoints
 
@@ -137,7 +138,7 @@ class Watercolor(Stage):
             paper_grain(scene.seed), wobbles, sample_surface(scene, scene.seed)
         )
 
-    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, ndarray]:
         picture = self.with_toon(view)
         lines = self.lines_of(view, picture)
         cells = self.cells_of(view, prepared)
@@ -150,7 +151,7 @@ class Watercolor(Stage):
 
     # the picture that is painted
 
-    def with_toon(self, view: View) -> np.ndarray:
+    def with_toon(self, view: View) -> ndarray:
         """(h, w, 3) float32: the picture with the object toon-shaded, read-only."""
         p, image, box = self.params, view[Layer.IMAGE], _object_box(view)
         if not p.toon or box.empty:
@@ -173,7 +174,7 @@ class Watercolor(Stage):
         out[at] = replace_lit(out[at], part[Layer.VIRTUAL], flat, view.facts.opacity)
         return packed(out)
 
-    def lines_of(self, view: View, picture: np.ndarray) -> np.ndarray:
+    def lines_of(self, view: View, picture: ndarray) -> ndarray:
         """(h, w) float32 strength of lines. picture : of `with_toon`"""
         p, rect = self.params, view.rect
         if p.lines <= 0:
@@ -244,7 +245,7 @@ class Watercolor(Stage):
         prepared: Prepared,
         pose: Pose,
         box: Rect,
-        inside: np.ndarray,
+        inside: ndarray,
     ) -> CellSet:
         """inside (h, w) bool : pixels of `box` that the object mostly covers"""
         p, scene = self.params, view.scene
@@ -275,9 +276,9 @@ class Watercolor(Stage):
         sites: Sites,
         rect: Rect,
         wobble: Callable[[Place], Wobble],
-        size_px: Callable[[Sites], np.ndarray],
+        size_px: Callable[[Sites], ndarray],
         seed: int,
-        inside: np.ndarray = EVERY_PIXEL,
+        inside: ndarray = EVERY_PIXEL,
     ) -> CellSet:
         """wobble : of a place in the pixels;  size_px : (n,) of the cells at n sites"""
         blend_px = BLEND_PX if self.params.edge_darkening > 0 else 0.0
@@ -293,8 +294,8 @@ class Watercolor(Stage):
         return CellSet(labels, flow, near, weight)
 
     def _mixed(
-        self, level: str, prepared: Prepared, cells: CellSet, picture: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, How]:
+        self, level: str, prepared: Prepared, cells: CellSet, picture: ndarray
+    ) -> tuple[ndarray, ndarray, How]:
         """The paint for each cell, the paper, and how it is painted, as `painted` takes them."""
         p = self.params
         labellings = [labels.first for labels in cells.labels]
@@ -325,7 +326,7 @@ def _places(level: str) -> list[Place]:
     return [(x, y) for y in along for x in along]
 
 
-def _size_at(field: SiteField, sites: Sites) -> np.ndarray:
+def _size_at(field: SiteField, sites: Sites) -> ndarray:
     """(n,) float32 size of cells at the sites, px: that of the nearest node."""
     rows, columns = field.size.shape
     row = np.rint((sites.y / STEPS - field.y0) / GRID_PX).astype(int)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.light import Light
 from arfx.core.numerics import divide
@@ -20,7 +21,7 @@ RAMP = 0.06  # of n . l over which a step is spread
 _GAINS = 0.5, 2.0  # least and most that tones are made darker and brighter
 
 
-def toon_light(light: Light, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def toon_light(light: Light, up: ndarray) -> tuple[ndarray, ndarray]:
     """(direction (3,) unit towards the strongest light, radiance (3,) of a white surface that faces
     it), WORLD frame.
 
@@ -39,11 +40,11 @@ def toon_light(light: Light, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def tones(
-    cosine: np.ndarray,
+    cosine: ndarray,
     thresholds: tuple[float, float],
     factors: tuple[float, float, float],
     ramp: float = RAMP,
-) -> np.ndarray:
+) -> ndarray:
     """Factor of the tone where the cosine between normal and light has these values.
 
     thresholds, factors : of the settings;  ramp : of the cosine over which a step is spread
@@ -57,8 +58,8 @@ def tones(
 
 
 def replace_lit(
-    image: np.ndarray, lit: np.ndarray, flat: np.ndarray, opacity: float
-) -> np.ndarray:
+    image: ndarray, lit: ndarray, flat: ndarray, opacity: float
+) -> ndarray:
     """(h, w, 3) the image with flat tones in place of the lit object, that was composited at this
     opacity. They get the lit object's hue and brightness.
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from math import floor
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.core.camera import Camera
 from arfx.core.memo import Memo
@@ -57,7 +58,7 @@ def field_shift(where: SiteField) -> tuple[float, float]:
 
 
 def object_shift(
-    camera: Camera, camera_from_world: Pose, origin_m: np.ndarray
+    camera: Camera, camera_from_world: Pose, origin_m: ndarray
 ) -> tuple[float, float]:
     """(x, y) px of pixel (0, 0) from the object's origin (3,), WORLD."""
     x, y = camera.project(camera_from_world.apply(origin_m[None]))[0]
