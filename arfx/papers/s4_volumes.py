@@ -80,14 +80,20 @@ class Volumes(NamedTuple):
         return len(self.tree.eta) * (POINTER_BYTES + 4 * channels), dense
 
 
-def step2_mean(leaves: ndarray, starts: list[ndarray]) -> ndarray:
+def step2_mean(
+    leaves: ndarray, starts: list[ndarray], stored: bool = False
+) -> ndarray:
     """(nodes, c) float32 of values (leaves, c): n levels take n - 1 steps, from the lowest upwards.
 
     A voxel is the mean of its eight children, of which the missing ones are empty. Through a wall
-    one voxel thick 1 - 2^-L of the light leaks at level L. starts : of `Volumes`"""
+    one voxel thick 1 - 2^-L of the light leaks at level L. stored : the mean of those children that
+    are there: no light leaks, but every surface grows with the level
+    starts : of `Volumes`"""
     levels: list[ndarray] = [leaves.astype(np.float32)]
     for start in starts:
-        levels.append(np.add.reduceat(levels[-1], start) / np.float32(8))
+        below = levels[-1]
+        children = np.diff(start, append=len(below))[:, None] if stored else 8
+        levels.append(np.add.reduceat(below, start) / np.float32(children))
     return np.concatenate(levels[::-1])
 
 
@@ -118,8 +124,9 @@ def octree_of(
     cells: ndarray,
     normal: ndarray,
     opacity: ndarray,
+    stored: bool = False,
 ) -> Volumes:
-    """cells (v, 3) int;  normal (v, 3);  opacity (v,)"""
+    """cells (v, 3) int;  normal (v, 3);  opacity (v,);  stored : of `step2_mean`"""
     code = morton(cells)
     order = np.argsort(code)
     codes = [code[order]]
@@ -137,7 +144,7 @@ def octree_of(
     tree = Octree(
         np.concatenate(first).astype(np.int32),
         np.concatenate(masks[::-1]).astype(np.uint8),
-        step2_mean(leaves, starts),
+        step2_mean(leaves, starts, stored),
         len(starts),
     )
     return Volumes(volume, tree, codes[0], starts)

@@ -125,12 +125,12 @@ def test_what_appears_while_the_output_is_joined_is_not_replaced(
 ) -> None:
     config, out = job(material, tmp_path), tmp_path / "out.mp4"
 
-    def order(*given: Any) -> Any:
+    def remux(*given: Any) -> Any:
         out.write_bytes(b"somebody else's")
-        return order_of(*given)
+        return remuxed(*given)
 
-    order_of = join._ranks_of
-    monkeypatch.setattr(join, "_ranks_of", order)
+    remuxed = join._remux
+    monkeypatch.setattr(join, "_remux", remux)
     with pytest.raises(ConfigError, match="exists"):
         process(config, Options(notice=quiet))
     assert (
