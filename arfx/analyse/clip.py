@@ -111,6 +111,7 @@ def lit(
         samples,
         job.light,
         job.panorama,
+        changes=dict(rows["changes"]),
         place_m=lambda: object_place_m(clip, job),
     )
 
@@ -132,11 +133,16 @@ def surrounded(
 ) -> Analysis:
     """The surroundings, for reflections: a guess of all of them, and what was seen of them."""
     anchor, still_camera = clip.world_from_anchor, clip.static == "camera"
+    clip = clip.adding(
+        with_environment(
+            clip.facts, samples, still_camera, job.panorama, anchor.rotation
+        )
+    )
     if job.panorama is not None:
         facts, maps = given_everywhere(clip.facts, job.panorama, anchor.rotation)
     else:
         facts, maps = with_seen(
-            with_environment(clip.facts, samples, still_camera),
+            clip.facts,
             snapshots,
             job.camera,
             still_camera,

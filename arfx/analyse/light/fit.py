@@ -25,12 +25,10 @@ from arfx.analyse.light.hypotheses import (
     Explanations,
     Params,
 )
-from arfx.analyse.light.model import DOME, exponent, solve
+from arfx.analyse.light.model import DOME, Lights, bent, refine, solve
 from arfx.analyse.light.search import gather
-from arfx.analyse.light.sphere import DEG_16
 from arfx.core.light import DirectionalLight, Light, harmonics, triple
 from arfx.core.numerics import arccos, normalise
-from arfx.core.sampling import sphere
 
 MODEL_ERROR, MOST_ERROR = (
     0.002,
@@ -43,7 +41,14 @@ NARROW_DEG, MOST_CONDITION = (
     30.0,
     700.0,
 )  # of normals within so few degrees: beyond, errors of their poses pass for light
-_HELD = 500  # normals, at most, that are held against each other
+# Shares of degree 0, 1, 2 of max(c, 0) and of ((c + 1) / 2)^2: their Legendre coefficients
+# times 4 pi / (2 l + 1)
+_COSINE, _DOME = (
+    np.pi * np.repeat(of_degree, (1, 3, 5))
+    for of_degree in ([1, 2 / 3, 1 / 4], [4 / 3, 2 / 3, 2 / 15])
+)
+_HELD = 500  # normals, at most, that are held against all others
+_SIZES_DEG = np.array([0.0, 2.5, 5, 7.5, 10, 15, 20, 30])  # half-angles
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,13 +62,14 @@ class FittedLight:
     angular_size_deg : full angle of its disc, a default or what the data allow where they
     do not show it; if merely likely as
         wide as lamps in its place may be spread, up to 30
-    verdict : of its direction"""
+    doubt : what else explains the data, in words;  verdict : of its direction"""
 
     direction: ndarray
     rgb: ndarray
     confidence_deg: float
     angular_size_deg: float = DEFAULT_SIZE_DEG
     verdict: str = MEASURED
+    doubt: str = ""
 
     @property
     def dome(self) -> bool:
@@ -71,12 +77,6 @@ class FittedLight:
         casts a shadow.
         """
         return self.angular_size_deg >= 180
-
-    def irradiance(self, normals: ndarray, group: int = 0) -> ndarray:
-        """(..., 3) at unit normals (..., 3)."""
-        c = (normals @ self.direction)[..., None]
-        shade = (c + 1) ** 2 / 4 if self.dome else np.clip(c, 0, None)
-        return np.asarray(shade * self.rgb[group])
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +91,6 @@ class LightFit:
     model_error : systematic, relative
     gamma : exponent found in the values
     span_deg : of the normals;
-    explained : (k, 3) irradiance of the observations by the best explanation, refused or
-    not; None = none was looked for
     """
 
     verdict: str
@@ -103,12 +101,17 @@ class LightFit:
     model_error: float = 0.0
     gamma: float = 1.0
     span_deg: float = 0.0
-    explained: ndarray | None = None
 
     def irradiance(self, normals: ndarray, group: int = 0) -> ndarray:
         """(..., 3) at unit normals (..., 3): ambient light and `lights`."""
-        parts = [li.irradiance(normals, group) for li in self.lights]
-        return np.broadcast_to(self.ambient_rgb[group], normals.shape) + sum(parts)
+        n = np.asarray(normals, float)
+        out = np.broadcast_to(self.ambient_rgb[group], n.shape).copy()
+        for li in self.lights:
+            c = n @ li.direction
+            out += ((c + 1) ** 2 / 4 if li.dome else np.clip(c, 0, None))[
+                ..., None
+            ] * li.rgb[group]
+        return out
 
     @property
     def claimed(self) -> bool:
@@ -132,37 +135,43 @@ class LightFit:
         """As the light that every effect shares: known directions are lights, all else is
         soft (degree 2 harmonics).
         """
-        on = [li for li in self.lights if self._is_on(li, group)]
-        lamps = tuple(
-            DirectionalLight(
-                triple(li.direction),
-                triple(li.rgb[group]),
-                li.angular_size_deg,
-                li.confidence_deg,
-            )
-            for li in on
-            if li.confidence_deg < NO_CONE_DEG
-        )
-        if len(lamps) == len(on):
-            return Light(triple(self.ambient_rgb[group]), lamps, "marker")
-        n = sphere(DEG_16)
-        soft = [li for li in on if li.confidence_deg >= NO_CONE_DEG]
-        shown = replace(self, lights=tuple(soft)).irradiance(n, group)
-        return Light.of_soft(np.linalg.pinv(harmonics(n)) @ shown, lamps, "marker")
+        ambient, lamps, shaped = np.array(self.ambient_rgb[group]), [], False
+        soft = np.zeros((9, 3))
+        soft[0] = ambient * np.sqrt(4 * np.pi)
+        for li in self.lights:
+            rgb, cone_deg = li.rgb[group], li.confidence_deg
+            if not self._is_on(li, group):
+                continue
+            if cone_deg < NO_CONE_DEG:
+                towards = triple(li.direction), triple(rgb)
+                lamps.append(
+                    DirectionalLight(*towards, li.angular_size_deg, cone_deg)
+                )
+                continue
+            fraction, mean = (_DOME, 1 / 3) if li.dome else (_COSINE, 1 / 4)
+            soft += (fraction * harmonics(li.direction))[:, None] * rgb
+            ambient, shaped = ambient + rgb * mean, True
+        rows = tuple(map(triple, soft)) if shaped else ()
+        return Light(triple(ambient), tuple(lamps), "marker", rows)
 
 
 def span_deg(normals: ndarray) -> float:
     """Widest angle between unit normals (k, 3)."""
     few = normals[:: len(normals) // _HELD + 1]
-    return float(np.degrees(arccos((few @ few.T).min(initial=1.0))))
+    return float(
+        np.degrees(
+            arccos(min((float((normals @ n).min()) for n in few), default=1.0))
+        )
+    )
 
 
 def fit(
     normals: ndarray,
     irradiance: ndarray,
-    variance: ndarray | float = 0.0,
-    group: ndarray | int = 0,
+    variance: ndarray | None = None,
+    group: ndarray | None = None,
     params: Params = Params(),  # noqa: B008 - frozen
+    lit: ndarray | None = None,
 ) -> LightFit:
     """normals : (k, 3) in the frame that the lights are fixed in;  irradiance : (k, 3);
     variance : (k, 3), of noise alone
@@ -170,8 +179,10 @@ def fit(
     directions are shared by all
     groups, amplitudes are each group's own. What is not finite is left out.
     Nothing non-finite leaves.
+    lit : (g,) by the number of the group, share of the lamps that is on: then amplitudes
+    are shared by all groups too
     """
-    s = gather(normals, irradiance, variance, group, MODEL_ERROR)
+    s = gather(normals, irradiance, variance, group, MODEL_ERROR, lit)
     if s is None:
         none = np.zeros((1, 3))
         return LightFit(REFUSED, "no usable observation", none, none)
@@ -180,8 +191,8 @@ def fit(
     groups = s.groups()
     seen = np.array([g.value @ g.root / (g.root @ g.root) for g in groups]) * s.scale
 
-    def refused(why: str) -> LightFit:
-        return LightFit(REFUSED, why, seen, seen, **about)
+    def refused(why: str, **more: Any) -> LightFit:
+        return LightFit(REFUSED, why, seen, seen, **about, **more)
 
     narrow = span < NARROW_DEG and s.condition() > MOST_CONDITION
     if span < LEAST_SPAN_DEG or narrow:
@@ -203,7 +214,7 @@ def fit(
         error = max(error, 1e-4) * float(np.sqrt(misfit))
         if error > MOST_ERROR:
             break
-        s = gather(normals, irradiance, variance, group, error) or s
+        s = gather(normals, irradiance, variance, group, error, lit) or s
         found = Explanations(s, params, found)
     about["model_error"] = error
     if error > MOST_ERROR:
@@ -212,36 +223,35 @@ def fit(
             " changed, or the surface is glossy",
         )
     model, count = found.best[found.count], found.count
-    about["gamma"] = exponent(found.groups, model)
-    # directions are the exponent's, amplitudes those of the values as they came: what is
-    # shown beside them has to match
-    amp = solve(s.groups(), model).amplitudes[0] * s.scale[:, None]  # (g, 3, q + 1)
-    number = np.unique(group, return_inverse=True)[1]
-    columns = model.columns(normalise(normals))[0][0].T[:, None]
-    about["explained"] = (amp[number] * columns).sum(-1)
+    about["gamma"] = float(np.exp(bent(found.groups, model)))
     if count == 0:
         return refused(
             "the light is even: no direction stands out, or it comes from behind all"
             " normals"
         )
-    shares, skies = found.shares(model)[0][0], model.soft[0] >= DOME
-    order = np.lexsort([-shares, skies])
+    # directions are the exponent's, amplitudes those of the values as they came: what is
+    # shown beside them has to match
+    amp = solve(s.groups(), model).amplitudes[0] * s.scale[:, None]  # (g, 3, q + 1)
+    shares, domes = found.shares(model)[0][0], model.soft[0] >= DOME
+    order = np.lexsort([-shares, domes])
     known = [found.assess(int(i)) for i in order]
     first = known[0]
     if first.verdict == REFUSED:
         return refused(first.doubt)
+    size_deg = _size_deg(found, domes)
     lights = []
-    for i, (verdict, cone, _) in zip(order, known, strict=True):
-        size = 2 * float(np.degrees(np.arcsin(model.soft[0, i]))) or DEFAULT_SIZE_DEG
+    for i, (verdict, cone, doubt) in zip(order, known, strict=True):
+        size = 180.0 if domes[i] else size_deg
         one = FittedLight(
             model.dirs[0, i],
             amp[:, :, 1 + i],
             NO_CONE_DEG if verdict == REFUSED else cone,
             size,
             verdict,
+            doubt,
         )
         if verdict == LIKELY:
-            one = doubted(one, cone)
+            one = doubted(one, cone, doubt)
         lights.append(one)
     reason = f"{count} light{'s' * (count > 1)}, {_words(first)}"
     if count == 2:
@@ -250,7 +260,7 @@ def fit(
     return LightFit(first.verdict, reason, amp[:, :, 0], seen, tuple(lights), **about)
 
 
-def doubted(light: FittedLight, cone_deg: float) -> FittedLight:
+def doubted(light: FittedLight, cone_deg: float, doubt: str) -> FittedLight:
     """The light as a likely one, its disc as wide as lamps in its place may be spread."""
     size_deg = max(light.angular_size_deg, min(cone_deg, MOST_SIZE_DEG))
     return replace(
@@ -258,6 +268,7 @@ def doubted(light: FittedLight, cone_deg: float) -> FittedLight:
         confidence_deg=cone_deg,
         angular_size_deg=size_deg,
         verdict=LIKELY,
+        doubt=doubt,
     )
 
 
@@ -269,3 +280,19 @@ def _words(known: Assessment) -> str:
         if known.verdict == LIKELY
         else f"in a direction that is not known: {known.doubt}"
     )
+
+
+def _size_deg(found: Explanations, domes: ndarray) -> float:
+    """Full angle of the lights' discs: what the data show, or else a default that they allow."""
+    model = found.best[found.count]
+    n = len(_SIZES_DEG)
+    soft = np.where(domes, model.soft, np.sin(np.radians(_SIZES_DEG))[:, None])
+    tried = Lights(np.repeat(model.dirs, n, 0), soft, np.repeat(model.mix, n, 0))
+    chi2 = refine(found.groups, tried, passes=6)[1]
+    bound = found.bound()
+    inside, best = (
+        np.flatnonzero(chi2 <= max(bound, chi2.min())),
+        2 * float(_SIZES_DEG[chi2.argmin()]),
+    )
+    most = 2 * float(_SIZES_DEG[min(inside[-1] + 1, len(chi2) - 1)])
+    return min(DEFAULT_SIZE_DEG, most) if inside[0] == 0 else best

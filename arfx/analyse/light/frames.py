@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from arfx.analyse.job import Analysis
 from arfx.analyse.light import patches
 from arfx.analyse.light.given import light_from_direction, light_from_panorama
 from arfx.analyse.light.hypotheses import LIKELY, REFUSED
-from arfx.analyse.light.photometry import Photometry
+from arfx.analyse.light.photometry import LightReading, Photometry
 from arfx.analyse.light.photometry import solve as photometry_of
 from arfx.analyse.light.shadow import edge_clue, real_shadow
 from arfx.analyse.light.static_frame import Readings, StaticFrameLight
@@ -43,6 +44,7 @@ class Reading(NamedTuple):
 # for one
 THREE_ASKED = 1.221
 UNSEEN = 0.025  # of white's light, which looks the same
+_OF_SPAN = ("verdict", "lights", "ambient_rgb", "reason")
 # cosine to the line of sight: flatter views show gloss and neighbours' light, not the print
 LEAST_FACING = 0.15
 
@@ -54,8 +56,8 @@ def solve_patches(
     albedo: ndarray,
     most_bias: ndarray | None,
     print_: ndarray,
-) -> Photometry:
-    """Bias and light out of patches.
+) -> tuple[Photometry, LightReading | None]:
+    """Bias and light out of patches, and another reading of them where prints are overexposed.
 
     A bias that is not certain is not drawn: then the light holds it, so that white looks as
     the paper does. But for what of it is beyond its doubt, by a difference that nobody sees.
@@ -63,14 +65,16 @@ def solve_patches(
     found = photometry_of(
         intensity, variance, albedo, clipped, most_bias=most_bias, print_=print_
     )
-    y, own = patches.of_one_scale(found, intensity, variance, clipped, albedo)
+    other = patches.comparable(found, intensity, variance, clipped, albedo)
     sigma = np.ptp(found.bias_95, 1) / (2 * 1.96)
-    of_light, unseen = found.bias / albedo.max(1), UNSEEN * np.abs(y)
+    of_light, unseen = found.bias / albedo.max(1), UNSEEN * np.abs(found.y)
     known = of_light * divide(found.bias**2, sigma**2 + found.bias**2)
     held = np.where(
         _certain_bias(found), 0, of_light - np.clip(known, -unseen, unseen)
     )
-    return replace(found, y=y + held, var_y_own=own)
+    if other is not None:
+        other = replace(other, y=other.y + held)
+    return replace(found, y=found.y + held), other
 
 
 def with_light(
@@ -79,15 +83,16 @@ def with_light(
     samples: Sequence[EnvironmentSample],
     params: LightParams,
     panorama: ndarray | None = None,
-    solve: Callable[..., Photometry] = solve_patches,
+    solve: Callable[..., tuple[Photometry, LightReading | None]] = solve_patches,
     static_frame_light: Callable[..., StaticFrameLight] = StaticFrameLight,
+    changes: Mapping[int, float] = MappingProxyType({}),
     place_m: Callable[[], ndarray] = lambda: np.zeros(2),
 ) -> Analysis:
     """The analysis with `light` and `bias_rgb` in every frame that has a pose, and what was
     found in summary["light"].
 
     panorama : (h, w, 3) linear radiance, of LightParams.environment;  solve : bias and
-    light out of patches, as solve_patches
+    light out of patches, as solve_patches;  changes : of the background, by frame (Readings.change)
     place_m : (2,) where the object stands, anchor axes
     """
     facts, turns = analysis.facts, analysis.static == "camera"
@@ -105,15 +110,27 @@ def with_light(
         and row.cells.cells is not None
     }
     place = divide(place_m(), corners_m[:, :2].max(0)) if shaded else np.zeros(2)
-    seen, cells = _usable(analysis, patch_readings, static_from_world, place)
-    photometry = solve(
-        *patches.stack(cells, params.ink, params.paper),
+    rows, even = _usable(analysis, patch_readings, static_from_world, place)
+    keys = np.array([row.key for row, _ in rows], str)
+    print_ = np.unique(keys, return_inverse=True)[1].ravel()
+    photometry, other = solve(
+        *patches.stack([row.cells for row, _ in rows], params.ink, params.paper),
         np.min([s.darkest for s in samples], axis=0) if samples else None,
-        seen.print_,
+        print_,
     )
-    readings = replace(seen, radiance=photometry.y, variance=photometry.var_y_own)[
-        photometry.seen
-    ]
+    used = photometry.seen
+    readings = Readings(
+        np.array([row.frame for row, _ in rows], int)[used],
+        np.reshape([normal for _, normal in rows], (-1, 3))[used],
+        print_[used],
+        (keys == analysis.anchor.key)[used],
+        [
+            replace(reading, fit=reading.fit & even).at(used)
+            for reading in (photometry.reading, other)
+            if reading is not None
+        ],
+        changes,
+    )
     given = _given(params, panorama)
     out: dict[int, Light] = {}
     reports: list[tuple[int, dict[str, Any]]] = []
@@ -131,8 +148,11 @@ def with_light(
             turn = static_from_world[frames[0]] @ analysis.world_from_anchor.rotation
             lights, report = part.from_given(given[0].turned(turn), *given[1:])
         out |= lights
+        ends = {"start_s": facts[frames[0]].time_s, "end_s": facts[frames[-1]].time_s}
         reports.append((len(frames), report))
-        spans += report["spans"]
+        spans += report.pop("spans", None) or [
+            ends | {k: report[k] for k in _OF_SPAN}
+        ]
     report = max(reports, key=lambda r: r[0])[1] if reports else {}
     bias = _certain_bias(photometry)
     lit = list(facts)
@@ -141,9 +161,9 @@ def with_light(
             light=light.turned(static_from_world[k].T) if turns else light,
             bias_rgb=triple(bias),
         )
-    for k, shown in shaded.items():
+    for k, cells in shaded.items():
         lit[k] = lit[k].with_(
-            plane_shadow=real_shadow(shown - bias.mean(), corners_m)
+            plane_shadow=real_shadow(cells - bias.mean(), corners_m)
         )
     p = photometry
     known_bias = p.determined.all()
@@ -220,27 +240,36 @@ def _usable(
     patch_readings: Sequence[Reading],
     static_from_world: Mapping[int, ndarray],
     place: ndarray,
-) -> tuple[Readings, list[patches.Patches]]:
-    """(readings without light, their cells) of prints that face the camera in frames whose
-    pose was measured.
+) -> tuple[list[tuple[Reading, ndarray]], ndarray]:
+    """([reading, normal in STATIC axes], which of them show the lamps' light), of prints that
+    face the camera in frames whose pose was measured.
 
     A print partly in a real shadow does not show the lamps' light; that on which the object
     stands shows the object's, at its `place`. Where most are, nothing else is left."""
-    rows, cells, anchor = [], [], analysis.anchor.key
-    prints = {key: k for k, key in enumerate(analysis.world_from_marker)}
-    for k, key, seen in patch_readings:
-        f, marker = analysis.facts[k], analysis.world_from_marker.get(key)
-        if f.status != MEASURED or f.camera_from_world is None or marker is None:
+    rows = []
+    for row in patch_readings:
+        fact, marker = (
+            analysis.facts[row.frame],
+            analysis.world_from_marker.get(row.key),
+        )
+        if (
+            fact.status != MEASURED
+            or fact.camera_from_world is None
+            or marker is None
+        ):
             continue
-        stands = f.camera_from_world @ marker
+        stands = fact.camera_from_world @ marker
         if -stands.rotation[:, 2] @ normalise(stands.translation_m) >= LEAST_FACING:
-            normal = static_from_world[k] @ marker.rotation[:, 2]
-            on = key == anchor
-            seen = patches.standing(seen, place) if on else seen
-            rows.append((k, *normal, prints[key], on, seen.cells is None))
-            cells.append(seen)
-    frame, x, y, z, print_, on, even = np.reshape(rows, (-1, 7)).T
-    even = even > 0 if 2 * even.sum() > len(even) else even >= 0
-    normal, none = np.stack([x, y, z], -1), np.zeros((len(rows), 3))
-    numbers = frame.astype(int), normal, np.unique(print_, return_inverse=True)[1]
-    return Readings(*numbers, on > 0, none, none, even), cells
+            normal = static_from_world[row.frame] @ marker.rotation[:, 2]
+            if row.key == analysis.anchor.key:
+                row = row._replace(cells=patches.standing(row.cells, place))
+            rows.append((row, normal))
+    even = np.array([row.cells.cells is None for row, _ in rows], bool)
+    if 2 * even.sum() <= len(rows):
+        return rows, np.ones(len(rows), bool)
+    kept = [
+        i
+        for i, (row, _) in enumerate(rows)
+        if even[i] or row.key == analysis.anchor.key
+    ]
+    return [rows[i] for i in kept], even[kept]

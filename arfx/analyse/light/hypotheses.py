@@ -20,13 +20,15 @@ from arfx.analyse.light.model import (
     DOME,
     Group,
     Lights,
+    each,
+    joined,
     refine,
     solve,
+    turns_of,
 )
 from arfx.analyse.light.search import Samples
-from arfx.analyse.light.sphere import DEG_32
-from arfx.core.numerics import angle_between, divide
-from arfx.core.sampling import frame_about, sphere
+from arfx.analyse.light.sphere import DEG_32, even_directions
+from arfx.core.numerics import angle_between
 
 MEASURED, LIKELY, REFUSED = "measured", "likely", "refused"
 LEAST_CONE_DEG = 1.0  # what lamps that are near, sizes and gloss may shift it by
@@ -43,9 +45,7 @@ MOST_GROUPS = 30  # of which directions are found; each has amplitudes of its ow
 SKY_DEG = (
     30.0  # what ambient light alone that is brighter from one side widens a cone to
 )
-_SOFT = np.sin(
-    np.radians([[5.0], [10.0], [15.0], [20.0], [30.0]])
-)  # of one light's disc
+_SOFT = np.sin(np.radians([[10.0], [20.0], [35.0]]))  # of one light's disc
 _RATIOS = (1.0, 0.6, 0.35)  # of the weaker of two lamps that pose as one
 _RINGS_DEG = np.array(
     [
@@ -110,13 +110,14 @@ class Explanations:
     ) -> None:
         """start : of the same observations under other weights; its minima are followed"""
         self.params = params
+        most = max(0, min(params.most_lights, 2))
         every = s.groups(params.gamma_sigma)
         some = np.linspace(0, len(every) - 1, min(len(every), MOST_GROUPS)).round()
         self.samples, self.groups = s, [every[int(i)] for i in some]
         kept = sum(len(group.root) for group in self.groups)
         self.effective = s.effective * kept / len(s.weight)
         if start is None:
-            starts = _starts(self.groups)[: 1 + params.most_lights]
+            starts = _starts(self.groups, most)
         else:
             starts = [lights for lights, _ in start.minima]
         self.minima: list[tuple[Lights, ndarray]] = [
@@ -124,35 +125,40 @@ class Explanations:
         ]
         self.best: list[Lights] = []
         self.best_cost: list[float] = []
-        for count, (lights, chi2) in enumerate(self.minima):
+        for lights, chi2 in self.minima:
             # one that hardly any normal sees explains noise and no more
             unseen = (self.shares(lights)[0] < LEAST_LIGHT).any(1)
-            # nor is a lamp large that may be small, at 95 %
-            large = ((lights.soft > 0) & (lights.soft < DOME)).any(1)
-            cost = chi2 * (1 + 6 * large / self._freedom(count))
-            k = int(np.lexsort([cost, unseen])[0])
+            k = int(np.lexsort([chi2, unseen])[0])
             self.best.append(lights[k : k + 1])
             self.best_cost.append(float(chi2[k]))
-        wide = max(1.0, self.misfit(len(self.best) - 1))
-        log = np.log(max(self.effective, 2.0))
+        wide = max(1.0, self.misfit(most))
         bic = [
-            c / wide + self._parameters(k) * log for k, c in enumerate(self.best_cost)
+            c / wide + self._parameters(k) * np.log(max(self.effective, 2.0))
+            for k, c in enumerate(self.best_cost)
         ]
         self.count = 0
-        for k in range(1, len(bic)):
-            sound = (self.shares(self.best[k])[0] >= LEAST_LIGHT).all()
+        for k in range(1, most + 1):
+            sound = (self.shares(self.best[k])[0][0] >= LEAST_LIGHT).all()
             if sound and bic[k] < bic[self.count] - LEAST_EVIDENCE:
                 self.count = k
 
     def shares(self, lights: Lights) -> tuple[ndarray, ndarray]:
-        """(n, q) share of each light in all that was seen; irradiance of each."""
-        size = solve(self.groups, lights).amplitudes.sum(2)  # (n, g, q + 1)
-        seen = sum(
-            size[:, i] * (lights.columns(group.normals)[0] @ group.root**2)
-            for i, group in enumerate(self.groups)
-        )
-        share = divide(seen, seen.sum(1, keepdims=True))
-        return share[:, 1:], size[..., 1:].sum(1)
+        """(n, q) share of each direction's light in all that was seen; irradiance of each
+        direction."""
+        amplitudes = solve(self.groups, lights).amplitudes
+        total, seen = np.zeros(len(lights)), np.zeros(lights.mix.shape[:2])
+        for number, group in enumerate(self.groups):
+            size, weight = (
+                amplitudes[:, number].sum(1),
+                group.root**2,
+            )  # (n, m + 1), (k,)
+            column = lights.mix @ lights.columns(group)[0]
+            seen += size[:, 1:] * (column @ weight)
+            total += size[:, 0] * weight.sum()
+        share = seen / np.maximum(total + seen.sum(1), 1e-300)[:, None]
+        of_direction = (share[:, None] @ (lights.mix > 0))[:, 0]
+        strength = (amplitudes.sum((1, 2))[:, None, 1:] @ lights.mix)[:, 0]
+        return of_direction, strength
 
     def _parameters(self, count: int) -> int:
         return 3 * len(self.groups) * (1 + count) + 2 * count
@@ -222,56 +228,72 @@ class Explanations:
         yield words, *self.minima[self.count]
         ring, across, sine = _around(first)
         words = "the direction is uncertain by {}"
-        yield words, *self._in_place(light, [ring], [size])
+        yield words, *self._in_place(light, ring[:, None], [size], np.ones((1, 1)))
         if self.params.most_lights < 2:
             return
         words = "two lamps {1} apart would look the same to this print"
         for ratio in _RATIOS:  # the two balance about the light that they replace
             far = np.minimum(sine / ratio, 1)
             second = np.sqrt(1 - far**2) * first - far * across
-            yield words, *self._in_place(light, [ring, second], [size, size])
+            pair = np.stack([ring, second], 1), [size, size], np.array([[1, ratio]])
+            yield words, *self._in_place(light, *pair)
         if self.count == 1:
             words = "ambient light that is brighter from one side may shift it by {}"
             yield words, *self.minima[2]
             for second in (-ring, 0.5 * first - np.sqrt(0.75) * across):
-                yield words, *self._in_place(light, [ring, second], [size, DOME])
+                sky = np.stack([ring, second], 1), [size, DOME], np.eye(2)
+                yield words, *self._in_place(light, *sky)
 
     def _in_place(
-        self, light: int, dirs: Sequence[ndarray], soft: Sequence[float]
+        self, light: int, dirs: ndarray, soft: Sequence[float], mix: ndarray
     ) -> tuple[Lights, ndarray]:
-        """dirs (n, 3) and soft of each of what stands in place of one light, the first held,
-        all else refined; chi squared (n,)."""
-        best = self.best[self.count]
+        """dirs (n, p, 3), soft (p,), mix (m, p), of what stands in place of one light, the
+        first held, all else refined; chi squared (n,)."""
+        n, (m, p) = len(dirs), mix.shape
+        best = self.best[self.count][np.zeros(n, int)]
         rest = np.delete(np.arange(self.count), light)
-        others = Lights(best.dirs[:, rest], best.soft[:, rest])
-        lights = Lights.of(np.stack(dirs, 1), soft)
-        lights = lights.joined(others[np.zeros(len(lights.dirs), int)], 1)
-        return refine(self.groups, lights, 1, _HELD_PASSES)
+        full = np.eye(m + len(rest), p + len(rest), p - m)
+        full[:m, :p] = mix
+        lights = Lights(
+            np.concatenate([dirs, best.dirs[:, rest]], 1),
+            np.concatenate([np.tile(soft, (n, 1)), best.soft[:, rest]], 1),
+            np.tile(full, (n, 1, 1)),
+        )
+        return refine(self.groups, lights, 0, _HELD_PASSES)
 
 
-def _starts(groups: Sequence[Group]) -> list[Lights]:
+def _starts(groups: Sequence[Group], most: int) -> list[Lights]:
     """By count, from a grid over the whole sphere."""
-    grid = sphere(DEG_32)
-    ones = _best(groups, Lights.of(grid[:, None]), _KEPT)
-    large = Lights.of(np.repeat(ones.dirs[:1], len(_SOFT), 0), _SOFT)
-    i, j = np.triu_indices(len(grid), 1)
-    pairs = Lights.of(np.stack([grid[i], grid[j]], 1))
-    pairs = pairs[np.argsort(solve(groups, pairs).chi2, kind="stable")[:_TRIED]]
-    lamp = np.broadcast_to(ones.dirs[0], grid.shape)
-    skies = Lights.of(np.stack([lamp, grid], 1), (0, DOME))
-    twos = _best(groups, pairs, _KEPT).joined(_best(groups, skies, _KEPT))
-    return [Lights.of(np.zeros((1, 0, 3))), ones.joined(large), twos]
+    out, grid = [each(np.zeros((1, 0, 3)))], even_directions(DEG_32)
+    if most >= 1:
+        ones = _best(*refine(groups, each(grid[:, None]), None, _ROUGH_PASSES), _KEPT)
+        large = each(np.repeat(ones.dirs[:1], len(_SOFT), 0), _SOFT)
+        out.append(joined([ones, large]))
+    if most >= 2:
+        i, j = np.triu_indices(len(grid), 1)
+        pairs = each(np.stack([grid[i], grid[j]], 1))
+        pairs = _best(pairs, solve(groups, pairs).chi2, _TRIED)
+        lamp = np.broadcast_to(ones.dirs[0], grid.shape)
+        skies = each(np.stack([lamp, grid], 1), np.array([0, DOME]))
+        out.append(
+            joined(
+                [
+                    _best(*refine(groups, k, None, _ROUGH_PASSES), _KEPT)
+                    for k in (pairs, skies)
+                ]
+            )
+        )
+    return out
 
 
-def _best(groups: Sequence[Group], lights: Lights, count: int) -> Lights:
-    lights, chi2 = refine(groups, lights, 0, _ROUGH_PASSES)
+def _best(lights: Lights, chi2: ndarray, count: int) -> Lights:
     return lights[np.argsort(chi2, kind="stable")[:count]]
 
 
 def _around(d: ndarray) -> tuple[ndarray, ndarray, ndarray]:
     """Directions on rings about the unit vector d: (n, 3); unit vectors across d towards each
     (n, 3); sine of their angle from d (n, 1)."""
-    first, second = frame_about(d)
+    first, second = turns_of(d)
     side = np.cos(_AZIMUTHS) * first + np.sin(_AZIMUTHS) * second
     rings = np.radians(_RINGS_DEG[:-1])
     across, a = np.tile(side, (len(rings), 1)), np.repeat(rings, len(side))[:, None]

@@ -9,14 +9,14 @@ projection: Golub and Pereyra 1973; Kaufman 1975)."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 from numpy import ndarray
 
 from arfx.core.numerics import divide, normalise
-from arfx.core.sampling import frame_about
 
 DOME = 1.0
 _POINT = 1e-6
@@ -29,13 +29,14 @@ _STUCK = 10.0  # damping from which on a minimum counts as found
 class Group(NamedTuple):
     """Samples that share amplitudes, times the root of their weight.
 
-    normals : (k, 3);  root : (k,)
+    normals : (k, 3);  root : (k,);  lit : (k,) share of the lamps that is on
     value : (3, k) by channel
     bend : (3, k) what a logarithm of the exponent of 1 adds to value
     bend_weight : (3,) inverse of (1 / its variance + bend.bend): 0 where the exponent is 1"""
 
     normals: ndarray
     root: ndarray
+    lit: ndarray
     value: ndarray
     bend: ndarray
     bend_weight: ndarray
@@ -49,39 +50,53 @@ class Group(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Lights:
-    """n sets of q lights.
+    """n sets of q directions that make m lights.
 
     dirs : (n, q, 3) unit, towards them;  soft : (n, q) sine of their discs' half-angle; DOME
-    = ambient light that is brighter from one side, ((n.d + 1) / 2)^2"""
+    = ambient light that is brighter from one side, ((n.d + 1) / 2)^2
+    mix : (n, m, q) strength of each direction in each light"""
 
     dirs: ndarray
     soft: ndarray
-
-    @staticmethod
-    def of(dirs: ndarray, soft: ndarray | Sequence[float] | float = 0.0) -> Lights:
-        """soft : what broadcasts to (n, q)"""
-        return Lights(dirs, np.broadcast_to(soft, dirs.shape[:2]))
+    mix: ndarray
 
     def __getitem__(self, rows: ndarray | slice) -> Lights:
-        return Lights(self.dirs[rows], self.soft[rows])
+        return Lights(self.dirs[rows], self.soft[rows], self.mix[rows])
 
-    def joined(self, other: Lights, axis: int = 0) -> Lights:
-        """More sets, or by axis 1 more lights in each."""
-        dirs = np.concatenate([self.dirs, other.dirs], axis)
-        return Lights(dirs, np.concatenate([self.soft, other.soft], axis))
+    def __len__(self) -> int:
+        return len(self.dirs)
 
-    def columns(self, normals: ndarray) -> tuple[ndarray, ndarray]:
-        """What ambient light and each direction give k normals, (n, q + 1, k), and its
-        slope by n.d, (n, q, k)."""
-        c, soft = self.dirs @ normals.T, np.maximum(self.soft, _POINT)[..., None]
+    def columns(self, group: Group) -> tuple[ndarray, ndarray]:
+        """What each direction gives k normals, and its slope by n.d, both (n, q, k)."""
+        c, soft = (
+            self.dirs @ group.normals.T,
+            np.maximum(self.soft, _POINT)[..., None],
+        )
         low, full = np.maximum(c + soft, 0), c >= soft
-        even = np.ones((len(c), 1, len(normals)))
-        shade = np.concatenate([even, np.where(full, c, low**2 / (4 * soft))], 1)
-        return shade, np.where(full, 1, low / (2 * soft))
+        on = np.where(soft < DOME, group.lit, 1.0)
+        shade, slope = np.where(full, c, low**2 / (4 * soft)), low / (2 * soft)
+        return on * shade, on * np.where(full, 1, slope)
+
+
+def each(dirs: ndarray, soft: ndarray | float = 0.0) -> Lights:
+    """Lights of one direction each, (n, q, 3)."""
+    n, q = dirs.shape[:2]
+    return Lights(
+        dirs, np.broadcast_to(soft, (n, q)), np.broadcast_to(np.eye(q), (n, q, q))
+    )
+
+
+def joined(sets: Sequence[Lights]) -> Lights:
+    return Lights(
+        *(
+            np.concatenate([getattr(s, k) for s in sets])
+            for k in ("dirs", "soft", "mix")
+        )
+    )
 
 
 class Solution(NamedTuple):
-    """chi2 : (n,);  amplitudes : (n, g, 3, q + 1), ambient first
+    """chi2 : (n,);  amplitudes : (n, g, 3, m + 1), ambient first
     gradient : (n, p), curvature : (n, p, p), of half of chi squared by the p turns of the
     directions;  across : (n, q, 2, 3) axes of these turns"""
 
@@ -93,31 +108,52 @@ class Solution(NamedTuple):
 
 
 def non_negative(G: ndarray, h: ndarray) -> tuple[ndarray, ndarray]:
-    """Least x.G.x - 2 x.h over x >= 0, and the inverse of G over what is above 0: what is
-    farthest below is left out, one after another. G : (..., m, m);  h : (..., m)"""
+    """Least x.G.x - 2 x.h over x >= 0, and the inverse of G over what is above 0: the best of
+    all subsets. G : (..., m, m);  h : (..., m)"""
     m = h.shape[-1]
     G = G + np.eye(m) * (_RIDGE * np.einsum("...ii->...i", G) + 1e-30)[..., None, :]
-    used = np.ones(h.shape, bool)
-    while True:
-        block = used[..., None] & used[..., None, :]
-        inverse = np.linalg.inv(np.where(block, G, np.eye(m))) * block
-        x = (inverse @ h[..., None])[..., 0]
-        if (x >= 0).all():
-            return x, inverse
-        used &= x > np.minimum(x.min(-1, keepdims=True), -1e-300)
+    inverse = np.linalg.inv(G)
+    x = (inverse @ h[..., None])[..., 0]
+    below = (x < 0).any(-1)
+    if not below.any():
+        return x, inverse
+    G, h = G[below], h[below]
+    used = np.array(list(product((False, True), repeat=m))[:-1])  # (s, m)
+    block = used[:, :, None] & used[:, None, :]
+    own = np.linalg.inv(np.where(block, G[:, None], np.eye(m))) * block
+    trials = (own @ h[:, None, :, None])[..., 0]
+    gain = np.where((trials >= 0).all(-1), (trials * h[:, None]).sum(-1), 0.0)
+    best = np.arange(len(h)), gain.argmax(-1)
+    x[below], inverse[below] = trials[best], own[best]
+    return x, inverse
 
 
-def solve(groups: Sequence[Group], lights: Lights, held: int = 0) -> Solution:
-    """held : so many of the directions, the first ones, are not turned"""
-    (n, q), m = lights.soft.shape, lights.soft.shape[1] + 1
-    across = np.stack(frame_about(lights.dirs[:, held:]), -2)
+def turns_of(dirs: ndarray) -> ndarray:
+    """(..., 2, 3) unit vectors across (..., 3) and each other."""
+    first = normalise(np.cross(dirs, np.eye(3)[np.abs(dirs).argmin(-1)]))
+    return np.stack([first, np.cross(dirs, first)], -2)
+
+
+def solve(
+    groups: Sequence[Group], lights: Lights, moved: Sequence[int] = ()
+) -> Solution:
+    """moved : numbers of the directions whose turns are asked for"""
+    n, m, moved = len(lights), lights.mix.shape[1] + 1, list(moved)
+    across = turns_of(lights.dirs[:, moved])
     chi2 = np.full(n, sum(g.total for g in groups))
-    amplitudes, p = np.empty((n, len(groups), 3, m)), 2 * (q - held)
+    amplitudes, p = np.empty((n, len(groups), 3, m)), 2 * len(moved)
     gradient, curvature = np.zeros((n, p)), np.zeros((n, p, p))
     for number, group in enumerate(groups):
-        rows, slope = lights.columns(group.normals)
-        turned = slope[:, held:, None] * (across @ group.normals.T)
-        rows = np.concatenate([rows, turned.reshape(n, p, len(group.root))], 1)
+        shade, slope = lights.columns(group)
+        turned = slope[:, moved, None] * (across @ group.normals.T)
+        rows = np.concatenate(
+            [
+                np.ones((n, 1, len(group.normals))),
+                lights.mix @ shade,
+                turned.reshape(n, p, len(group.normals)),
+            ],
+            1,
+        )
         rows *= group.root
         bent = (rows @ group.bend.T).swapaxes(1, 2)  # (n, 3, m + p)
         kept = group.bend_weight[:, None] * bent
@@ -129,54 +165,69 @@ def solve(groups: Sequence[Group], lights: Lights, held: int = 0) -> Solution:
         x, inverse = non_negative(G[..., :m, :m], h[..., :m])
         chi2 -= (x * h[..., :m]).sum((1, 2))
         amplitudes[:, number] = x
-        size = np.repeat(x[..., 1 + held :], 2, -1)  # (n, 3, p)
-        cross = G[..., m:, :m]
-        free = G[..., m:, m:] - cross @ inverse @ cross.swapaxes(2, 3)
-        left = h[..., m:] - (cross @ x[..., None])[..., 0]
-        gradient -= (size * left).sum(1)
-        curvature += (size[..., None] * size[..., None, :] * free).sum(1)
+        if p:
+            size = np.repeat(
+                (x[..., 1:] @ lights.mix)[..., moved], 2, -1
+            )  # (n, 3, p)
+            cross = G[..., m:, :m]
+            free = G[..., m:, m:] - cross @ inverse @ cross.swapaxes(2, 3)
+            left = h[..., m:] - (cross @ x[..., None])[..., 0]
+            gradient -= (size * left).sum(1)
+            curvature += (size[..., None] * size[..., None, :] * free).sum(1)
     return Solution(np.maximum(chi2, 0), amplitudes, gradient, curvature, across)
 
 
 def refine(
-    groups: Sequence[Group], lights: Lights, held: int = 0, passes: int = 25
+    groups: Sequence[Group], lights: Lights, held: int | None = None, passes: int = 25
 ) -> tuple[Lights, ndarray]:
-    """Nearest minimum over all directions but the first `held`, and its chi squared (n,).
-    Levenberg-Marquardt, all sets at once."""
-    dirs, now = lights.dirs, solve(groups, lights, held)
-    damping, p = np.full(len(dirs), 1e-3), now.gradient.shape[1]
+    """Nearest minimum over all directions but the one with number `held`, and its chi squared
+    (n,). Levenberg-Marquardt, all sets at once."""
+    moved = [i for i in range(lights.dirs.shape[1]) if i != held]
+    now = solve(groups, lights, moved)
+    damping, p = np.full(len(lights), 1e-3), 2 * len(moved)
+    dirs, chi2 = lights.dirs.copy(), now.chi2.copy()
+    moving = np.arange(len(lights))
     for _ in range(passes if p else 0):
+        if not len(moving):
+            break
         diagonal = np.einsum("nii->ni", now.curvature)
         added = (
             damping[:, None] * diagonal
             + 1e-9 * diagonal.max(1, keepdims=True)
             + 1e-12
         )
-        damped = now.curvature + added[..., None] * np.eye(p)
-        step = -np.linalg.solve(damped, now.gradient[..., None])
+        step = np.linalg.solve(
+            now.curvature + added[..., None] * np.eye(p), -now.gradient[..., None]
+        )
         long = np.linalg.norm(step, axis=1, keepdims=True)
         step = step * np.minimum(1, divide(_LONGEST_STEP, long, where_zero=1.0))
-        turn = (step.reshape(len(step), -1, 2, 1) * now.across).sum(2)
-        trial = dirs.copy()
-        trial[:, held:] = normalise(dirs[:, held:] + turn)
-        there = solve(groups, Lights(trial, lights.soft), held)
+        turn = (step.reshape(len(moving), -1, 2, 1) * now.across).sum(2)
+        trial = replace(lights[moving], dirs=dirs[moving])
+        trial.dirs[:, moved] = normalise(trial.dirs[:, moved] + turn)
+        there = solve(groups, trial, moved)
         better = there.chi2 < now.chi2
         gains = now.chi2 - there.chi2 > _STALLED * now.chi2
-        dirs, *rest = (
-            np.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)
-            for new, old in zip((trial, *there), (dirs, *now), strict=True)
+        dirs[moving[better]], chi2[moving[better]] = (
+            trial.dirs[better],
+            there.chi2[better],
         )
-        now = Solution(*rest)
         damping = np.where(better, damping / 5, damping * 6).clip(1e-9, 1e9)
-        if not (gains | ~better & (damping < _STUCK)).any():
-            break
-    return Lights(dirs, lights.soft), now.chi2
+        on = gains | ~better & (damping < _STUCK)
+        now = Solution(
+            *(
+                np.where(better.reshape(-1, *[1] * (a.ndim - 1)), b, a)[on]
+                for a, b in zip(now, there, strict=True)
+            )
+        )
+        moving, damping = moving[on], damping[on]
+    return replace(lights, dirs=dirs), chi2
 
 
-def exponent(groups: Sequence[Group], lights: Lights) -> float:
-    """Of the values, beside one set of lights."""
-    amplitudes, found = solve(groups, lights).amplitudes[0], []
+def bent(groups: Sequence[Group], lights: Lights) -> float:
+    """Logarithm of the values' exponent beside one set of lights."""
+    amplitudes, exponents = solve(groups, lights).amplitudes[0], []
     for group, size in zip(groups, amplitudes, strict=True):
-        rest = group.value - size @ lights.columns(group.normals)[0][0] * group.root
-        found.append((group.bend_weight * (group.bend * rest).sum(1)).mean())
-    return float(np.exp(np.mean(found)))
+        shade = lights.mix[0] @ lights.columns(group)[0][0]
+        rest = group.value - (size[:, :1] + size[:, 1:] @ shade) * group.root
+        exponents.append((group.bend_weight * (group.bend * rest).sum(1)).mean())
+    return float(np.mean(exponents))

@@ -1,16 +1,18 @@
-"""What the light takes from the frames: readings of the prints, small pictures of the
-surroundings."""
+"""What the light takes from the frames: readings of the prints, how the background changes,
+small pictures of the surroundings."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from arfx.analyse.even_frames import EvenFrames
-from arfx.analyse.job import Analysis, AnalysisFrame, AnalysisJob
+from arfx.analyse.job import Analysis, AnalysisFrame, AnalysisJob, Picture
 from arfx.analyse.light import patches
+from arfx.analyse.light.brightness import background_change, small_luma
 from arfx.analyse.light.frames import Reading
 from arfx.analyse.light.hypotheses import REFUSED
 from arfx.analyse.light.seen import SNAPSHOT_PX, Snapshot
@@ -21,17 +23,28 @@ from arfx.core.marker import MarkerSpec
 from arfx.core.rect import Rect
 from arfx.core.stage import Check
 
-AROUND = 1.7  # times the marker's size: where the plane beside it is looked at
+DARK_ACROSS = 64  # pixels of a row, about, of which the darkest are taken
 SURROUNDINGS_S = 0.5  # between two small pictures of the surroundings, at least
 MOST_SNAPSHOTS = 240  # of a clip, about
 SHARP_PX = 0.7  # blur assumed where it could not be measured
 _AROUND_PX = 2
 
 
-class LightReader:
-    """Reads the prints' cells."""
+class BackgroundChange(NamedTuple):
+    """ratio : logarithm of the background's light over that of the frame before; NaN = not
+    known"""
 
-    tables: ClassVar[Mapping[str, type]] = {"readings": Reading}
+    frame: int
+    ratio: float
+
+
+class LightReader:
+    """Reads the prints' cells, and how the background's light changes from frame to frame."""
+
+    tables: ClassVar[Mapping[str, type]] = {
+        "readings": Reading,
+        "changes": BackgroundChange,
+    }
 
     def __init__(self, job: AnalysisJob) -> None:
         ink, paper = job.light.ink, job.light.paper
@@ -46,11 +59,18 @@ class LightReader:
                 for soft in patches.SOFT
             ]
         self.readings: list[Reading] = []
+        self.changes: list[BackgroundChange] = []
+        self._small: ndarray | None = None
 
     def step(self, frame: AnalysisFrame, shown: Sequence[Sighting]) -> None:
         picture = frame.picture
         if picture is None:
             return
+        if frame.following is not None:
+            now = small_luma(frame.luma) if self._small is None else self._small
+            self._small = small_luma(frame.following())
+            change = background_change(now, self._small)
+            self.changes.append(BackgroundChange(frame.index + 1, change))
         for s in detections(shown):
             box = Rect.around(s.corners_px, _AROUND_PX).clip(picture.rect)
             if box.empty:
@@ -60,6 +80,17 @@ class LightReader:
             quad_px, linear = s.corners_px - [box.x0, box.y0], picture.linear(box)
             cells = patches.read_print(linear, quad_px, meter, s.inverted, blur)
             self.readings.append(Reading(frame.index, s.key, cells))
+
+
+def darkest(picture: Picture) -> ndarray:
+    """(3,) linear light of a picture's darkest hundredth, channel by channel."""
+    rect = picture.rect
+    apart = max(1, rect.width // DARK_ACROSS)
+    x, y = np.meshgrid(
+        np.arange(rect.x0, rect.x1, apart), np.arange(rect.y0, rect.y1, apart)
+    )
+    pixels = np.stack([x.ravel(), y.ravel()], -1).astype(np.int32)
+    return np.percentile(picture.linear_at(pixels), 1, axis=0).astype(float)
 
 
 class SnapshotTaker:
@@ -77,24 +108,23 @@ class SnapshotTaker:
             return
         small = picture.reduced(SNAPSHOT_PX)
         if min(small.shape[:2]) >= 3:
-            self.snapshots.append(Snapshot(frame.index, small.astype(np.float16)))
+            row = Snapshot(frame.index, small.astype(np.float16), darkest(picture))
+            self.snapshots.append(row)
 
 
 def environment_samples(
     snapshots: Sequence[Snapshot], clip: Analysis, camera: Camera
 ) -> list[EnvironmentSample]:
     """What small pictures show of the surroundings of the object's place."""
-    corners = AROUND * clip.anchor.corners_m
-    share = np.linspace(0, 1, 8, endpoint=False)[:, None, None]
-    around = (corners + share * (np.roll(corners, -1, 0) - corners)).reshape(-1, 3)
     out = []
-    for k, small in snapshots:
+    for k, small, dark in snapshots:
         pose = clip.facts[k].camera_from_world
-        if pose is not None:
-            scale = small.shape[1] / camera.width
-            beside_px = (camera.project(pose.apply(around)) + 0.5) * scale - 0.5
-            sample = environment_sample(k, small.astype(np.float32), beside_px)
-            out.append(sample)
+        if pose is None:
+            continue
+        quad = camera.project(pose.apply(clip.anchor.corners_m))
+        if np.isfinite(quad).all():
+            picture = small.astype(np.float32)
+            out.append(environment_sample(k, picture, quad, camera.width, dark))
     return out
 
 

@@ -19,15 +19,17 @@ from itertools import pairwise
 import numpy as np
 from numpy import ndarray
 
-from arfx.analyse.light.fit import LightFit, doubted, fit, span_deg
+from arfx.analyse.light.fit import LightFit, doubted, fit
 from arfx.analyse.light.hypotheses import (
     LIKELY,
+    MEASURED,
     NO_CONE_DEG,
     REFUSED,
     Params,
 )
+from arfx.analyse.light.sphere import DEG_4, nearest_cell
 from arfx.core.light import harmonics
-from arfx.core.numerics import angle_between, divide, normalise
+from arfx.core.numerics import angle_between, divide
 
 CONSTANT, SWITCHED, SEGMENTS, SHARED, WINDOWS = (
     "constant",
@@ -44,13 +46,11 @@ _MOST_DRIFT = (
 )
 _DRIFT_S = 0.25
 LONGEST_WINDOW_S = 2.0  # changing light is treated as constant for so long at most
-_NEAR = 6  # observations before and after a step, by which it goes up or down
 _LEAST_PIECE = 8  # observations of a segment whose light can be asked for
 # length of a frame's mean normal, below which its normals are apart: 28 degrees between two
 _APART, _SOMEWHAT_APART = 0.97, np.cos(np.radians(5.0))
 _LEAST_FRAMES = 0.8  # share of the frames that show normals apart
 _PASSES = 60
-_LEAST_FACTOR = 1e-3  # of a frame's light over the usual frame's
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,24 +99,15 @@ class _Observations:
         sizes = np.diff([*starts, len(self.times_s)])
         return replace(self, group=np.repeat(np.arange(len(sizes)), sizes))
 
-    def fit(self) -> LightFit:
-        seen = self.normals, self.irradiance, self.variance
-        return fit(*seen, self.group, self.params)
+    def fit(self, lights: int = 2, lit: ndarray | None = None) -> LightFit:
+        few = replace(self.params, most_lights=min(self.params.most_lights, lights))
+        return fit(self.normals, self.irradiance, self.variance, self.group, few, lit)
 
     def steady(self, found: LightFit) -> bool:
-        """Whether a fit holds at all times: of means of a quarter of a second, so that noise
-        is little."""
         if found.model_error > _GOOD_ERROR:
             return False
-        shown = found.explained
-        if shown is None:
-            shown = found.seen_rgb[self.group]
-        off, light = (self.irradiance - shown).mean(1), self.irradiance.mean(1)
-        # numbered without holes: a clip may stand still for years
-        window = np.floor((self.times_s - self.times_s[0]) / _DRIFT_S)
-        window = np.unique(window, return_inverse=True)[1]
-        mean = (np.bincount(window, off) / np.bincount(window))[window]
-        return np.sqrt(np.mean(mean**2)) <= _MOST_DRIFT * np.percentile(light, 90)
+        drifts = drift(self.times_s, self.normals, self.irradiance, self.group)
+        return drifts <= _MOST_DRIFT
 
     def confirmed(self, found: LightFit) -> LightFit:
         """With its first light's cone widened to what the first and the last half say: beyond
@@ -136,7 +127,7 @@ class _Observations:
         first, off = found.lights[0], 0.0
         early = self.times_s <= np.median(self.times_s)
         for half in (early, ~early):
-            lights = self[half].fit().lights
+            lights = self[half].fit(len(found.lights)).lights
             angles = [angle_between(li.direction, first.direction) for li in lights]
             off = max(off, float(np.degrees(min(angles, default=np.inf))))
         likely = self.params.likely and found.model_error <= _GOOD_ERROR
@@ -152,7 +143,7 @@ class _Observations:
         doubt = (
             f"its direction differs by {off:.0f} degrees between parts of the clip"
         )
-        first = doubted(first, max(first.confidence_deg, 2 * off))
+        first = doubted(first, max(first.confidence_deg, 2 * off), doubt)
         reason = f"{found.reason}; {doubt}"
         lights = (first, *found.lights[1:])
         return replace(found, verdict=LIKELY, reason=reason, lights=lights)
@@ -183,22 +174,27 @@ def fit_over_time(
     seen = _Observations(
         params, times_s, normals, irradiance, variance, np.zeros(len(times_s), int)
     )[order]
-    constant = refusal = seen.fit()
+    constant = seen.fit()
     if seen.steady(constant):
         return CONSTANT, seen.spans([(0, constant, 0)])
     segments = window_starts(seen.times_s, breaks_s)
-    # refused without a model: one normal, or few
-    shared = _switched(seen, segments) if constant.model_error else None
+    refusal, shared, switched = constant, None, _switched(seen, segments)
+    if switched is not None:
+        _, found, _ = switched
+        if found.verdict == MEASURED or len(found.lights) == 1:
+            shared = switched
     for name, starts in (
         (SEGMENTS, segments),
         (SHARED, window_starts(seen.times_s, breaks_s, LONGEST_WINDOW_S)),
     ):
         if shared is not None:
             break
-        if name == SEGMENTS and len(segments) < 2:
+        if name == SHARED:
+            pumped = _exposure_drift_fit(seen)
+            if pumped is not None and pumped.model_error <= _GOOD_ERROR:
+                return SHARED, seen.spans([(0, pumped, 0)])
+        elif len(starts) < 2:
             continue
-        if name == SHARED and (pumped := _exposure_drift_fit(seen)) is not None:
-            return SHARED, seen.spans([(0, pumped, 0)])
         grouped = seen.grouped(starts)
         found = grouped.fit()
         if found.model_error <= _GOOD_ERROR < refusal.model_error:
@@ -209,16 +205,20 @@ def fit_over_time(
             found = grouped.confirmed(found)
         if found.claimed:
             windows = [(start, found, group) for group, start in enumerate(starts)]
-            shared = name, seen.spans(windows)
-    if shared is not None and max(len(s.fit.lights) for s in shared[1]) == 1:
-        return shared
+            shared = name, found, seen.spans(windows)
+    held = [h for h in (switched, shared) if h is not None]
+    shared = min(
+        held, key=lambda h: (h[1].verdict != MEASURED, len(h[1].lights)), default=None
+    )
+    if shared is not None and len(shared[1].lights) == 1:
+        return shared[0], shared[2]
     windows = []
     for start, piece in zip(segments, seen.pieces(segments), strict=True):
         found, large = piece.fit(), len(piece.times_s) >= _LEAST_PIECE
         holds = large and found.claimed and piece.steady(found)
         # one light of its own in each segment, or two for all: the former is simpler
         if shared is not None and large and not (holds and len(found.lights) == 1):
-            return shared
+            return shared[0], shared[2]
         if holds:
             windows.append((start, found, 0))
             continue
@@ -235,29 +235,37 @@ def fit_over_time(
 
 def _switched(
     seen: _Observations, segments: Sequence[int]
-) -> tuple[str, list[Span]] | None:
-    """The account of lamps that are all on or all off, where that holds: steps go down and up
-    in turn. In the dark a print shows what it shows turned away from the lamps."""
-    light = seen.irradiance.mean(1)
-    before, after = (
-        np.array([light[max(a, 0) : a + _NEAR].mean() for a in places])
-        for places in (np.subtract(segments[1:], _NEAR), segments[1:])
-    )
-    up = after > before
-    if not len(up) or (up[1:] == up[:-1]).any():
+) -> tuple[str, LightFit, list[Span]] | None:
+    """The account of lamps that are all on or all off, where that holds."""
+    if (lit := switches(seen.times_s, seen.irradiance, segments)) is None:
         return None
-    lit = np.append(~up[0], up)
-    on = lit[seen.grouped(segments).group][:, None]
-    away = -normalise(seen.normals.mean(0))
-    turned = replace(seen, normals=np.where(on, seen.normals, away))
-    found = turned.fit()
-    if not found.claimed or not turned.steady(found):
+    grouped = seen.grouped(segments)
+    found = grouped.fit(lit=lit)
+    by_state = replace(grouped, group=lit[grouped.group].astype(int))
+    if not found.claimed or not by_state.steady(found):
         return None
-    words, span = found.reason.rpartition(";")[0], span_deg(seen.normals)
-    found = replace(found, reason=f"{words}; normals over {span:.0f} degrees")
     dark = replace(found, lights=tuple(li for li in found.lights if li.dome))
-    states = zip(segments, lit, strict=True)
-    return SWITCHED, seen.spans([(a, found if on else dark, 0) for a, on in states])
+    states = [
+        (a, found if on else dark, 0) for a, on in zip(segments, lit, strict=True)
+    ]
+    return SWITCHED, found, seen.spans(states)
+
+
+def switches(
+    times_s: ndarray, irradiance: ndarray, starts: Sequence[int]
+) -> ndarray | None:
+    """(g,) 1 where the lamps are on, 0 where off, in the segments that begin at these
+    observations; None where steps do not go down and up in turn.
+
+    What a step does is seen from the observations, times ascending, right before and after it."""
+    light, signs = irradiance.mean(1), []
+    for start in starts[1:]:
+        last = light[:start][times_s[:start] == times_s[start - 1]]
+        first = light[start:][times_s[start:] == times_s[start]]
+        signs.append(np.sign(first.mean() - last.mean()))
+    if not signs or not all(signs) or any(a == b for a, b in pairwise(signs)):
+        return None
+    return np.array([signs[0] < 0, *(s > 0 for s in signs)], float)
 
 
 def window_starts(
@@ -288,42 +296,93 @@ def _mean_lengths(times: ndarray, n: ndarray) -> ndarray:
 
 
 def _exposure_drift_fit(seen: _Observations) -> LightFit | None:
-    """The light under one factor per frame; None where frames do not show several normals
-    apart, or it does not hold, or is refused.
+    """The light under one factor per frame (`gains`); None where that is not to be had,
+    does not hold, or is refused.
 
-    The factors and the irradiance in harmonics up to degree 2 are alternating least squares.
     A second light is left soft: what the factors are off by looks like one."""
     n, E = seen.normals, seen.irradiance
-    if np.mean(_mean_lengths(seen.times_s, n) < _APART) < _LEAST_FRAMES:
+    if (g := gains(seen.times_s, n, E)) is None:
         return None
     frame = np.unique(seen.times_s, return_inverse=True)[1]
-    light, H, g = E.mean(1), harmonics(n), np.ones(len(n))
-    for _ in range(_PASSES):
-        model = H @ np.linalg.lstsq(g[:, None] * H, light, rcond=1e-6)[0]
-        g = _factors(frame, model, light)
     # harmonics bend where a lamp sets: the factors once more, from the lights themselves
-    for _ in range(2):
-        if not (g > _LEAST_FACTOR).all():
-            return None
+    for sigma in (0.0, seen.params.gamma_sigma):
         even = replace(
             seen,
             irradiance=E / g[:, None],
             variance=seen.variance / g[:, None] ** 2,
+            params=replace(seen.params, gamma_sigma=sigma),
         )
         found = even.fit()
         if not found.claimed:
             return None
-        g = _factors(frame, found.irradiance(n).mean(1), light)
+        g = matched(frame, found.irradiance(n).mean(1), E.mean(1))[frame]
+        if not (g > 1e-3).all():
+            return None
+    if drift(seen.times_s, n, E / g[:, None]) > _MOST_DRIFT:
+        return None
     soft = (
         replace(li, confidence_deg=NO_CONE_DEG, verdict=REFUSED)
         for li in found.lights[1:]
     )
-    holds = even.steady(found)
-    return replace(found, lights=(found.lights[0], *soft)) if holds else None
+    return replace(found, lights=(found.lights[0], *soft))
 
 
-def _factors(frame: ndarray, model: ndarray, light: ndarray) -> ndarray:
-    """(k,) of each observation's frame, that bring the model (k,) to the light (k,) seen,
-    median 1. frame : (k,) int from 0 on, no gaps"""
+def drift(
+    times_s: ndarray,
+    normals: ndarray,
+    irradiance: ndarray,
+    group: ndarray | None = None,
+) -> float:
+    """Root mean square over time, relative to the level, of how normals differ from
+    themselves at other times of a group.
+
+    times_s : (k,);  normals, irradiance : (k, 3);  group : (k,) int. Means of a quarter of
+    a second, so that noise is little.
+    """
+    light = np.asarray(irradiance, float).mean(1)
+    level = float(np.percentile(light, 90)) if len(light) else 0.0
+    if level <= 0:
+        return 0.0
+    H = harmonics(normals)  # slope within a cell taken out
+    off = (light - H @ np.linalg.lstsq(H, light, rcond=1e-6)[0]) / level
+    group = np.zeros(len(light), int) if group is None else group
+    cell = np.unique(
+        group * DEG_4 + nearest_cell(normals, DEG_4), return_inverse=True
+    )[1]
+    count = np.bincount(cell)
+    off = off - (np.bincount(cell, off) / count)[cell]
+    # numbered without holes: a clip may stand still for years
+    window = np.unique(
+        np.floor((times_s - times_s.min()) / _DRIFT_S), return_inverse=True
+    )[1]
+    many = np.bincount(window, count[cell] > 1)
+    mean = divide(np.bincount(window, off), many)
+    return float(np.sqrt(divide((many * mean**2).sum(), many.sum())))
+
+
+def gains(times_s: ndarray, normals: ndarray, irradiance: ndarray) -> ndarray | None:
+    """(k,) factor of each observation's frame, median 1; None where frames do not show
+    several normals apart.
+
+    Alternating least squares of the factors and of the irradiance in harmonics up to degree 2.
+    """
+    if np.mean(_mean_lengths(times_s, normals) < _APART) < _LEAST_FRAMES:
+        return None
+    frame = np.unique(times_s, return_inverse=True)[1]
+    light, H = np.asarray(irradiance, float).mean(1), harmonics(normals)
+    g = np.ones(frame.max() + 1)
+    for _ in range(_PASSES):
+        model = H @ np.linalg.lstsq(g[frame, None] * H, light, rcond=1e-6)[0]
+        last, g = g, matched(frame, model, light)
+        if np.abs(g - last).max() < 1e-5:
+            break
+    return g[frame] if (g > 1e-3).all() else None
+
+
+def matched(frame: ndarray, model: ndarray, light: ndarray) -> ndarray:
+    """(frames,) factors that bring the model (k,) to the light (k,) seen, median 1.
+
+    frame : (k,) int from 0 on, no gaps
+    """
     g = divide(np.bincount(frame, model * light), np.bincount(frame, model * model))
-    return divide(g, float(np.median(g)), where_zero=1.0)[frame]
+    return divide(g, float(np.median(g)), where_zero=1.0)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy import ndarray
@@ -42,6 +42,20 @@ UNUSABLE = "no patch is usable: all are clipped, missing or not finite"
 GLARE, MOST_SEEN = 3.0, 0.75
 _HUBER, _PASSES = 1.345, 25
 _NORMAL_95 = 1.96
+
+
+@dataclass(frozen=True, eq=False)
+class LightReading:
+    """y, variance : (k, 3) radiance of a white surface, and its variance;  fit : (k,) bool,
+    readings of one kind, for a fit over normals
+    """
+
+    y: ndarray
+    variance: ndarray
+    fit: ndarray
+
+    def at(self, rows: ndarray) -> LightReading:
+        return LightReading(self.y[rows], self.variance[rows], self.fit[rows])
 
 
 class Channel(NamedTuple):
@@ -110,6 +124,10 @@ class Photometry:
         return (
             f"{channels}: {why}; bias 0 assumed, light from the bright patches alone"
         )
+
+    @property
+    def reading(self) -> LightReading:
+        return LightReading(self.y, self.var_y_own, self.seen)
 
 
 class Tolerances(NamedTuple):
@@ -183,11 +201,17 @@ def assemble(
     parts: Sequence[Channel], clipped: ndarray | None, ignored: int
 ) -> Photometry:
     """A Photometry of the channels' results."""
-    rows = zip(Channel._fields, zip(*parts, strict=True), strict=True)
-    columns: dict[str, Any] = {name: np.array(column) for name, column in rows}
+    columns = {
+        name: np.array(column)
+        for name, column in zip(
+            Channel._fields, zip(*parts, strict=True), strict=True
+        )
+    }
     columns |= {"y": columns["y"].T, "var_y_own": columns["var_y_own"].T}
-    columns["seen"] = columns["seen"].any(0)
-    share = 0.0 if clipped is None or not np.size(clipped) else float(clipped.mean())
+    columns["seen"] = np.asarray(columns["seen"].any(0))
+    share = (
+        float(np.mean(clipped)) if clipped is not None and np.size(clipped) else 0.0
+    )
     return Photometry(**columns, clipped=share, ignored=ignored)
 
 

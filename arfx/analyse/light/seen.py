@@ -22,15 +22,15 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy import ndarray
 
-from arfx.analyse.light.surroundings import PANORAMA_PX, from_panorama, turned
+from arfx.analyse.light.surroundings import from_panorama, turned
 from arfx.core.camera import Camera
-from arfx.core.cube import CubeMap, SeenEnvironment, face_directions, resampled
+from arfx.core.cube import SeenEnvironment, face_directions, resampled
 from arfx.core.facts import FrameFacts
 from arfx.core.numerics import divide, smoothstep
 
@@ -71,10 +71,12 @@ LAMP = (0.75, 0.95)  # linear light from which they are partly and wholly
 
 
 class Snapshot(NamedTuple):
-    """A small picture of one frame. picture : (h, w, 3) float16 or float32, linear"""
+    """A small picture of one frame. picture : (h, w, 3) float16 or float32, linear
+    darkest : (3,) linear light of the frame's darkest hundredth"""
 
     frame: int
     picture: ndarray
+    darkest: ndarray
 
 
 Seen = tuple[
@@ -137,24 +139,22 @@ def with_seen(
 def given_everywhere(
     facts: Sequence[FrameFacts], panorama: ndarray, world_from_anchor: ndarray
 ) -> Seen:
-    """The same, and `environment`, of a picture of all surroundings, as
-    surroundings.from_panorama takes it.
+    """The same of a picture of all surroundings, as surroundings.from_panorama takes it.
 
     world_from_anchor : (3, 3)
     """
-    small, faces = (
-        turned(from_panorama(panorama, size), np.asarray(world_from_anchor).T)
-        for size in (PANORAMA_PX, FACE_PX)
-    )
+    faces = turned(from_panorama(panorama, FACE_PX), np.asarray(world_from_anchor).T)
     faces = np.clip(divide(faces, faces.mean()), 0, 6e4)  # its scale means nothing
     maps: dict[str, ndarray] = {}
     name = _named(np.concatenate([faces, np.ones_like(faces[..., :1])], -1), maps)
-    given: dict[str, Any] = {
-        "environment": CubeMap.of(small),
-        "seen_environment": SeenEnvironment((name, name), 0.0),
-    }
-    posed = (f if f.camera_from_world is None else f.with_(**given) for f in facts)
-    return tuple(posed), maps
+    seen = SeenEnvironment((name, name), 0.0)
+    return (
+        tuple(
+            f if f.camera_from_world is None else f.with_(seen_environment=seen)
+            for f in facts
+        ),
+        maps,
+    )
 
 
 def _named(rgba: ndarray, maps: dict[str, ndarray]) -> str:
@@ -168,7 +168,7 @@ def _named(rgba: ndarray, maps: dict[str, ndarray]) -> str:
 class _Posed:
     """A snapshot in the axes at rest. camera_from_static : rotation (3, 3);  centre_m : the
     anchor, camera axes
-    picture : (h, w, 3) float32, without the camera's bias, over `level` (3,);  lamps : (3, n)
+    picture : (h, w, 3) float32, without the camera's bias, over `level` (3,);  lamps :
     directions, axes at rest
     """
 
@@ -178,7 +178,7 @@ class _Posed:
     camera: Camera
     camera_from_static: ndarray
     centre_m: ndarray
-    lamps: ndarray
+    lamps: tuple[ndarray, ...]
 
     @staticmethod
     def of(
@@ -204,7 +204,7 @@ class _Posed:
             camera,
             rotation,
             pose.apply(centre_m),
-            np.reshape([static @ li.unit for li in light.lights], (-1, 3)).T,
+            tuple(static @ li.unit for li in light.lights),
         )
 
     def seen(
@@ -225,11 +225,14 @@ class _Posed:
         border = cv2.BORDER_REPLICATE
         found = cv2.remap(self.picture, x, y, cv2.INTER_LINEAR, borderMode=border)
         rgb, weight = found.reshape(-1, 3), smoothstep(inside)
-        bright = smoothstep(
-            ((rgb * self.level).max(1) - LAMP[0]) / (LAMP[1] - LAMP[0])
-        )
-        lamp = (directions @ self.lamps > np.cos(np.radians(LAMP_DEG))).any(1)
-        return rgb, weight * (1 - bright * lamp)
+        for lamp in self.lamps:
+            bright = smoothstep(
+                ((rgb * self.level).max(1) - LAMP[0]) / (LAMP[1] - LAMP[0])
+            )
+            weight = weight * (
+                1 - bright * (directions @ lamp > np.cos(np.radians(LAMP_DEG)))
+            )
+        return rgb, weight
 
 
 def _inverse_radius(snapshots: Sequence[_Posed], up: ndarray) -> float:

@@ -3,8 +3,8 @@ taken from the surroundings."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from arfx.analyse.light.brightness import brightness, common_level, steps
 from arfx.analyse.light.fit import span_deg
-from arfx.analyse.light.hypotheses import LIKELY, REFUSED
+from arfx.analyse.light.hypotheses import LIKELY, MEASURED, REFUSED
 from arfx.analyse.light.hypotheses import Params as FitParams
 from arfx.analyse.light.over_time import (
     CONSTANT,
@@ -24,6 +24,7 @@ from arfx.analyse.light.over_time import (
     Span,
     fit_over_time,
 )
+from arfx.analyse.light.photometry import LightReading
 from arfx.analyse.light.sphere import DEG_8, nearest_cell
 from arfx.analyse.light.surroundings import (
     EnvironmentSample,
@@ -58,20 +59,17 @@ Lights = dict[int, Light]
 class Readings:
     """k markers in frames, in order. frame : (k,) its number;  normal : (k, 3) unit, STATIC axes
     print_ : (k,) int, which one;  stood_on : (k,) bool, the anchor
-    radiance, variance : (k, 3) of a white surface there;  even : (k,) bool, no real shadow
-    lies on a part of it
+    light : what a white surface shows there; behind it the same of one kind of cells alone
+    (patches.comparable), where prints are overexposed
+    change : of the background from the frame before, by frame (brightness.background_change)
     """
 
     frame: ndarray
     normal: ndarray
     print_: ndarray
     stood_on: ndarray
-    radiance: ndarray
-    variance: ndarray
-    even: ndarray
-
-    def __getitem__(self, rows: ndarray) -> Readings:
-        return Readings(*(getattr(self, f.name)[rows] for f in fields(self)))
+    light: Sequence[LightReading]
+    change: Mapping[int, float] = field(default_factory=dict)
 
 
 class StaticFrameLight:
@@ -88,8 +86,13 @@ class StaticFrameLight:
         """frames : numbers of those that share it;  static_from_world : (3, 3) by number"""
         self.frames, self.facts, self.params = list(frames), facts, params
         self.static_from_world = static_from_world
-        self.readings = readings[np.isin(readings.frame, self.frames)]
-        self.lit = np.unique(self.readings.frame).tolist()
+        mine = np.flatnonzero(np.isin(readings.frame, self.frames))
+        self.numbers, self.normals = readings.frame[mine], readings.normal[mine]
+        self.readings = [light.at(mine) for light in readings.light]
+        self.reading = self.readings[0]
+        self.print_, self.stood_on = readings.print_[mine], readings.stood_on[mine]
+        self.lit = np.unique(self.numbers).tolist()
+        self.change = np.array([readings.change.get(k, np.nan) for k in self.frames])
 
     def times_s(self, frames: Iterable[int]) -> ndarray:
         return np.array([self.facts[k].time_s for k in frames])
@@ -101,51 +104,52 @@ class StaticFrameLight:
 
         rests : a light can rest in it
         """
-        soft = self._surroundings(samples)
         if not self.lit:
+            soft = self._surroundings(samples)
             why = "no marker is seen well enough: too small, too flat, clipped or covered"
             return dict.fromkeys(self.frames, soft), self.report(REFUSED, why, soft)
-        even = self.readings[self.readings.even | ~self.readings.even.any()]
-        model, spans = fit_over_time(
-            self.times_s(even.frame),
-            even.normal,
-            even.radiance,
-            even.variance,
+        model, spans, self.reading = fit_temporal_model(
+            self.times_s(self.numbers),
+            self.normals,
+            self.readings,
             self._steps_s(),
             FitParams(self.params.most_lights, likely=self.params.claims == LIKELY),
         )
-
-        def worth(span: Span) -> tuple[bool, bool, float]:
-            verdict, _ = span.fit.verdict_of(span.group)
-            return span.fit.claimed, verdict != REFUSED, span.stop_s - span.start_s
-
-        best = max(spans, key=worth)
-        verdict, why = best.fit.verdict_of(best.group)
-        if rests and best.fit.claimed:
-            use, starts = used_spans(spans), [s.start_s for s in spans[1:]]
-            of_frame = np.searchsorted(
-                starts, self.times_s(self.frames), side="right"
+        soft = self._surroundings(samples)
+        longest = max(spans, key=lambda s: s.stop_s - s.start_s)
+        claimed = [s for s in spans if s.fit.claimed]
+        if rests and claimed:
+            best = max(
+                claimed,
+                key=lambda s: (
+                    s.fit.verdict_of(s.group)[0] != REFUSED,
+                    s.stop_s - s.start_s,
+                ),
             )
+            use = used_spans(spans)
+            starts = [s.start_s for s in spans[1:]]
+            of_frame = use[
+                np.searchsorted(starts, self.times_s(self.frames), side="right")
+            ]
             models = [*(s.fit.light(s.group) for s in spans), soft]
-            lights = self._follow(
-                {
-                    k: models[use[i]]
-                    for k, i in zip(self.frames, of_frame, strict=True)
-                }
-            )
+            lights = self._follow(models, of_frame)
+            verdict, why = best.fit.verdict_of(best.group)
             why += f"; {_TEMPORAL_MODELS[model]}"
             light = best.fit.light(best.group)
-            told_of = [
-                span_report(s, k >= 0) for s, k in zip(spans, use, strict=True)
-            ]
-            return lights, self.report(verdict, why, light, told_of) | {
+            return lights, self.report(verdict, why, light) | {
                 "gamma": best.fit.gamma,
                 "account": model,
                 "gain": self._relative_gain(lights) if model == SHARED else None,
+                "spans": [
+                    span_report(s, k >= 0) for s, k in zip(spans, use, strict=True)
+                ],
             }
-        if not rests:
-            why = "camera and marker both move: no frame is known in which a light rests"
-        lights = self._follow(dict.fromkeys(self.frames, soft))
+        why = (
+            longest.fit.reason
+            if rests
+            else "camera and marker both move: no frame is known in which a light rests"
+        )
+        lights = self._follow([soft])
         shaped = "soft light from the picture's surroundings, brighter from above"
         used = shaped if soft.source == "environment" else "ambient light alone"
         middle = lights[self.lit[len(self.lit) // 2]]
@@ -168,7 +172,7 @@ class StaticFrameLight:
         is left where they are brighter than what was measured)"""
         lights = dict.fromkeys(self.frames, light)
         if self.lit:
-            n, shown = self.readings.normal, self.readings.radiance
+            n, shown = self.normals, self.reading.y
             if stated:
                 left = (shown - light.radiance(n) + light.soft_radiance(n)).mean(0)
                 light = Light(
@@ -176,7 +180,7 @@ class StaticFrameLight:
                 )
             else:
                 light = scaled_to(light, n, shown)
-            lights = self._follow(dict.fromkeys(self.frames, light))
+            lights = self._follow([light])
         return lights, self.report(ASSUMED, why, light)
 
     def _surroundings(self, samples: Sequence[EnvironmentSample]) -> Light:
@@ -185,9 +189,9 @@ class StaticFrameLight:
         """
         frames = set(self.frames)
         mine = [sample for sample in samples if sample.frame in frames]
-        shows = self.readings[self.readings.radiance.sum(1) > 0]
-        n, known = shows.normal, len(shows.normal) > 0
-        level = np.median(shows.radiance, 0) if known else None
+        shows = self.reading.y.sum(1) > 0
+        n, measured = self.normals[shows], self.reading.y[shows]
+        level = np.median(measured, 0) if len(n) else None
         if not mine:
             ambient = Light().ambient_rgb if level is None else triple(level)
             return Light(ambient, (), "ambient")
@@ -195,97 +199,141 @@ class StaticFrameLight:
             self.static_from_world[s.frame] @ self.facts[s.frame].pose.rotation.T
             for s in mine
         ]
-        up = normalise((n if known else -np.array(turns)[:, :, 2]).sum(0))
+        up = normalise((n if len(n) else -np.array(turns)[:, :, 2]).sum(0))
         light = soft_light(mine, turns, up, level)
-        return matched(light, n, shows.radiance) if known else light
+        return matched(light, n, measured) if len(n) else light
 
     def _steps_s(self) -> list[float]:
         """Times at which the light steps, beside what turning prints show."""
-        dark, n = Light.of_soft(np.zeros((9, 3)), (), ""), self.readings.normal
-        shape = matched(dark, n, self.readings.radiance)
-        used, level, variance = self._levels(shape.radiance(n))
-        if not len(level):
+        dark = Light.of_soft(np.zeros((9, 3)), (), "")
+        shape = matched(dark, self.normals, self.reading.y)
+        used, level, variance = self._levels(shape.radiance(self.normals))
+        if not used.any():
             return []
-        common, _ = common_level(used.frame, used.print_, level, variance)
-        return steps(self.times_s(np.unique(used.frame)), common).tolist()
+        frame = self.numbers[used]
+        common, _ = common_level(frame, self.print_[used], level, variance)
+        return steps(self.times_s(np.unique(frame)), common).tolist()
 
-    def _levels(self, made: ndarray) -> tuple[Readings, ndarray, ndarray]:
-        """(those that say how bright their frames are; the logarithm (n, 3) of what they show
-        over what was made, and its variance (n,)).
+    def _levels(self, made: ndarray) -> tuple[ndarray, ndarray, ndarray]:
+        """(readings (k,) bool that say how bright their frames are; of these the logarithm
+        (n, 3) of what they show over what was made, and its variance (n,)).
 
         made : (k, 3) of a model
         """
-        bright = np.percentile(self.readings.radiance.max(1), 90)
-        rows = np.asarray((made > max(LEAST_SEEN * bright, 1e-9)).all(1))
-        made, used = made[rows], self.readings[rows]
-        factor = divide(used.radiance, made).clip(LEAST_FACTOR, MOST_FACTOR)
-        relative = (used.variance / made**2).mean(1) + MODEL_ERROR**2
+        y = self.reading.y
+        least = max(LEAST_SEEN * float(np.percentile(y.max(1), 90)), 1e-9)
+        used = np.asarray((made > least).all(1))
+        made, variance = made[used], self.reading.variance[used]
+        factor = np.clip(divide(y[used], made), LEAST_FACTOR, MOST_FACTOR)
+        relative = (variance / made**2).mean(1) + MODEL_ERROR**2
         return used, np.log(factor), relative / factor.mean(1) ** 2
 
-    def _follow(self, models: Lights) -> Lights:
+    def _follow(
+        self, models: Sequence[Light], of_frame: ndarray | None = None
+    ) -> Lights:
         """Each frame's model, times a factor per channel so that the markers look as they
         were measured (brightness.brightness).
-        """
-        rows = zip(self.readings.frame.tolist(), self.readings.normal, strict=True)
-        shown = np.array([models[k].radiance(n) for k, n in rows])
-        used, level, variance = self._levels(shown)
-        if not len(level):
-            return models
-        factors = brightness(
-            self.times_s(self.frames),
-            np.searchsorted(self.frames, used.frame),
-            used.print_,
-            level,
-            variance,
-            used.stood_on,
-        )
-        each = zip(self.frames, np.exp(factors), strict=True)
-        return {k: models[k].scaled(factor) for k, factor in each}
 
-    def report(
-        self,
-        verdict: str,
-        reason: str,
-        light: Light,
-        spans: Sequence[dict[str, Any]] = (),
-    ) -> dict[str, Any]:
+        of_frame : (frames,) number of each frame's model, None = all have the first.
+        """
+        of_frame = np.zeros(len(self.frames), int) if of_frame is None else of_frame
+        row = np.searchsorted(self.frames, self.numbers)
+        shown = np.zeros(self.normals.shape)
+        for i in np.unique(of_frame[row]):
+            mine = of_frame[row] == i
+            shown[mine] = models[i].radiance(self.normals[mine])
+        used, level, variance = self._levels(shown)
+        if not used.any():
+            return {k: models[i] for k, i in zip(self.frames, of_frame, strict=True)}
+        # what the model does not change already
+        bright = np.array([max(m.mean_radiance.mean(), 1e-9) for m in models])[
+            of_frame
+        ]
+        change = self.change - np.diff(np.log(bright), prepend=np.log(bright[0]))
+        factors = np.exp(
+            brightness(
+                self.times_s(self.frames),
+                row[used],
+                self.print_[used],
+                level,
+                variance,
+                self.stood_on[used],
+                change,
+                self._turns(row) * [models[i].source != "marker" for i in of_frame],
+            )
+        )
+        return {
+            k: models[i].scaled(f)
+            for k, i, f in zip(self.frames, of_frame, factors, strict=True)
+        }
+
+    def _turns(self, row: ndarray) -> ndarray:
+        """(frames,) radians by which the most turned print turned since it was seen before.
+
+        row : (k,) of the frame of each reading"""
+        out = np.zeros(len(self.frames))
+        for one in np.unique(self.print_):
+            n, at = self.normals[self.print_ == one], row[self.print_ == one]
+            np.maximum.at(out, at[1:], angle_between(n[1:], n[:-1]))
+        return out
+
+    def report(self, verdict: str, reason: str, light: Light) -> dict[str, Any]:
         """What the summary says of a light: also what was seen, and how well it separates
         ambient light from a direction.
-
-        spans : of `told`, none = the light is that of all frames
         """
-        n = self.readings.normal
+        n = self.normals
         rows = np.column_stack([np.ones(len(n)), n])
         rows = divide(rows, np.linalg.norm(rows, axis=0))
         separates = condition(rows) if len(n) >= 4 else 0.0
-        own = told(verdict, reason, light)
-        first_s, *_, last_s = self.times_s([self.frames[0], *self.frames]).tolist()
+        document = light.to_json()
         return {
             "source": light.source,
             "normals_seen": len(np.unique(nearest_cell(n, DEG_8))),
             "normal_span_deg": span_deg(n),
             "rank": int(np.linalg.matrix_rank(rows, rtol=1e-2)) if len(n) else 0,
             "condition": separates if 0 < separates < 1e12 else None,
-            **own,
-            "spans": [*spans] or [{"start_s": first_s, "end_s": last_s, **own}],
+            "ambient_rgb": document["ambient_rgb"],
+            "lights": document["lights"],
+            "verdict": verdict,
+            "reason": reason,
         }
 
 
-def told(verdict: str, reason: str, light: Light) -> dict[str, Any]:
-    """What the summary says of a light and of a span's."""
-    document = light.to_json()
-    return {
-        "ambient_rgb": document["ambient_rgb"],
-        "lights": document["lights"],
-        "verdict": verdict,
-        "reason": reason,
-    }
+def fit_temporal_model(
+    times_s: ndarray,
+    normals: ndarray,
+    readings: Sequence[LightReading],
+    breaks_s: Sequence[float],
+    params: FitParams = FitParams(),  # noqa: B008 - frozen
+) -> tuple[str, list[Span], LightReading]:
+    """(account, spans, the reading that tells it): a later one where it says more than the
+    first.
+    """
+    verdict = ""  # so far
+    for reading in readings:
+        on = reading.fit
+        if verdict == MEASURED or (verdict and not on.any()):
+            break
+        on = on if on.any() else np.ones_like(on)
+        account, spans = fit_over_time(
+            times_s[on],
+            normals[on],
+            reading.y[on],
+            reading.variance[on],
+            breaks_s,
+            params,
+        )
+        verdicts = {s.fit.verdict for s in spans}
+        better = next(v for v in (MEASURED, LIKELY, REFUSED) if v in verdicts)
+        if better == MEASURED or (verdict in ("", REFUSED) and better != verdict):
+            found, verdict = (account, spans, reading), better
+    return found
 
 
 def used_spans(spans: Sequence[Span]) -> ndarray:
     """(s,) int: which span's light is used in each, -1 = soft light.
 
-    One that is refused takes the one before it, where the one after it agrees.
+    One that is refused takes what those around it agree on.
     """
     known = [i for i, s in enumerate(spans) if s.fit.claimed]
     out = np.full(len(spans), -1)
@@ -298,7 +346,9 @@ def used_spans(spans: Sequence[Span]) -> ndarray:
             and angle_between(first[0].direction, second[0].direction)
             < np.radians(ALIKE_DEG)
         ):
-            out[before + 1 : after] = before
+            middle = (spans[before].stop_s + spans[after].start_s) / 2
+            for i in range(before + 1, after):
+                out[i] = before if spans[i].stop_s <= middle else after
     return out
 
 
@@ -312,6 +362,12 @@ def span_report(span: Span, used: bool) -> dict[str, Any]:
         why += "; used instead: " + (
             "the light before and after it" if used else "soft light"
         )
-    light = span.fit.light(span.group)
-    ends = {"start_s": span.start_s, "end_s": span.stop_s}
-    return ends | told(verdict, why, light)
+    document = span.fit.light(span.group).to_json()
+    return {
+        "start_s": span.start_s,
+        "end_s": span.stop_s,
+        "verdict": verdict,
+        "lights": document["lights"],
+        "ambient_rgb": document["ambient_rgb"],
+        "reason": why,
+    }

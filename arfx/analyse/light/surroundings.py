@@ -41,7 +41,7 @@ LIES = 0.7  # cosine of the plane's normal to the picture's up from which the pl
 # against rough light, per square of its degree: a residual of .2 % of the light is left to
 # noise
 RIDGE = 2e-3
-DARKEST = 0.5  # per cent of a small picture, as dark as the frame's darkest hundredth
+AROUND = 1.7  # times the marker's size: where the plane beside it is looked at
 OUTSTANDING = (
     6.0  # times the panorama's mean radiance from which a pixel belongs to a lamp
 )
@@ -150,20 +150,36 @@ class EnvironmentSample:
 
 
 def environment_sample(
-    frame: int, picture: ndarray, beside_px: ndarray
+    frame: int,
+    picture: ndarray,
+    quad: ndarray,
+    width: int,
+    darkest: ndarray,
 ) -> EnvironmentSample:
-    """picture : (h, w, 3) linear, at least 3 x 3, of the whole frame, made smaller
-    beside_px : (n, 2) places in it beside the marker; NaN, or outside = not seen
+    """picture : (h, w, 3) linear, at least 3 x 3, of the whole frame, made smaller;  quad :
+    (4, 2) a marker's corners in the frame's pixels;  width : of the frame;  darkest : of
+    EnvironmentSample
     """
-    size = np.array(picture.shape[1::-1])
-    inside = (np.abs(beside_px + 0.5 - size / 2) < size / 2).all(1)
-    x, y = np.rint(beside_px[inside]).astype(int).T
-    beside = picture[y, x] if inside.any() else picture.reshape(-1, 3)
+    quad = (quad + 0.5) * (picture.shape[1] / width) - 0.5
+    middle = quad.mean(0)
+    fraction = np.linspace(0, 1, 8, endpoint=False)[:, None]
+    sides = (1 - fraction) * quad[:, None] + fraction * np.roll(quad, -1, 0)[:, None]
+    at = np.rint(middle + AROUND * (sides.reshape(-1, 2) - middle)).astype(int)
+    inside = ((at >= 0) & (at < picture.shape[1::-1])).all(1)
+    beside = (
+        picture[at[inside, 1], at[inside, 0]]
+        if inside.any()
+        else picture.reshape(-1, 3)
+    )
+    small = cv2.resize(
+        np.ascontiguousarray(picture, np.float32),
+        (max(3, picture.shape[1] // 2), max(3, picture.shape[0] // 2)),
+    )
     return EnvironmentSample(
         frame,
-        cube_from_picture(picture, FACE_PX),
+        cube_from_picture(small, FACE_PX),
         np.clip(np.median(beside, 0), 0, None),
-        np.percentile(picture, DARKEST, axis=(0, 1)),
+        darkest,
     )
 
 
@@ -193,37 +209,30 @@ def soft_light(
     shown : (3,) radiance of a white surface that lies in the plane, None = unknown: the
     surroundings' own scale
     """
-    cube, plane = mean_look(samples, [turn.T for turn in static_from_camera])
-    size = cube.shape[1]
-    d = face_directions(size).reshape(-1, 3)
-    facing = np.tile(solid_angles(size).ravel(), 6) * np.clip(d @ up, 0, None)
-    seen = cube.reshape(-1, 3)
-    even = divide(facing @ seen, facing.sum())
-    brighter = (1 + FROM_ABOVE * d @ overhead(static_from_camera, up))[:, None]
-    incoming = (EVEN * even + (1 - EVEN) * seen) * brighter
-    white = facing @ incoming / np.pi
-    if shown is not None:
-        # a colour that the surroundings lack altogether comes evenly from all of them
-        known = white > 1e-3 * np.max(shown)
-        incoming = np.where(known, incoming * divide(shown, white), shown)
-        white = shown
-    # no plane is brighter than white
-    radiance = np.where((facing > 0)[:, None], incoming, np.minimum(plane, white))
-    soft = soft_of(radiance.reshape(cube.shape), np.eye(3))
-    light = Light.of_soft(soft, (), "environment")
+    size = samples[0].cube.shape[1]
+    directions = face_directions(size).reshape(-1, 3)
+    solid = np.tile(solid_angles(size).ravel(), 6)
+    total, plane = np.zeros((9, 3)), np.mean([s.plane for s in samples], 0)
+    sky = overhead(static_from_camera, up)
+    for one, turn in zip(samples, static_from_camera, strict=True):
+        d = directions @ turn.T
+        facing = solid * np.clip(d @ up, 0, None)
+        seen = one.cube.reshape(-1, 3)
+        even = divide(facing @ seen, facing.sum())
+        brighter = (1 + FROM_ABOVE * d @ sky)[:, None]
+        incoming = (EVEN * even + (1 - EVEN) * seen) * brighter
+        white = facing @ incoming / np.pi
+        if shown is not None:
+            # a colour that the surroundings lack altogether comes evenly from all of them
+            known = white > 1e-3 * np.max(shown)
+            incoming = np.where(known, incoming * divide(shown, white), shown)
+            white = shown
+        # no plane is brighter than white
+        radiance = np.where((facing > 0)[:, None], incoming, np.minimum(plane, white))
+        total += soft_of(radiance.reshape(one.cube.shape), turn)
+    light = Light.of_soft(total / len(samples), (), "environment")
     # what degree 2 rounds off
     return light if shown is None else scaled_to(light, up[None], shown[None])
-
-
-def mean_look(
-    samples: Sequence[EnvironmentSample], camera_from_dest: Sequence[ndarray]
-) -> tuple[ndarray, ndarray]:
-    """(cube (6, n, n, 3) in axes that all share, plane's radiance (3,)) of the looks.
-
-    camera_from_dest : (3, 3) of each"""
-    looks = zip(samples, camera_from_dest, strict=True)
-    cube = np.mean([turned(look.cube, turn) for look, turn in looks], 0)
-    return cube, np.mean([look.plane for look in samples], 0)
 
 
 def scaled_to(light: Light, normals: ndarray, radiance: ndarray) -> Light:
@@ -257,33 +266,46 @@ def with_environment(
     facts: Sequence[FrameFacts],
     samples: Sequence[EnvironmentSample],
     still_camera: bool,
+    panorama: ndarray | None,
+    world_from_anchor: ndarray,
 ) -> tuple[FrameFacts, ...]:
     """The facts with `environment` in every frame that has a pose and a look in its shot.
 
-    still_camera : the static frame is the camera's, else the world's
+    still_camera : the static frame is the camera's, else the world's;  world_from_anchor : (3, 3)
     """
     # is no light
-    bias = np.array(next((f.bias_rgb for f in facts if f.light), (0.0,) * 3))
+    bias = np.array(
+        next((f.bias_rgb for f in facts if f.light is not None), (0.0,) * 3)
+    )
     seen: dict[int, list[EnvironmentSample]] = {}
+    whole: dict[int, CubeMap] = {}
     for sample in samples:
         if facts[sample.frame].camera_from_world is not None:
             seen.setdefault(facts[sample.frame].shot, []).append(sample)
-    whole = {}
-    for shot, looks in seen.items():
-        turns = [facts[look.frame].pose.rotation for look in looks]
-        still = [np.eye(3)] * len(looks)
-        cube, plane = (
-            np.clip(a - bias, 0, None)
-            for a in mean_look(looks, still if still_camera else turns)
-        )
-        whole[shot] = CubeMap.of(cube, None, plane)
+    if panorama is not None:
+        faces = from_panorama(panorama, PANORAMA_PX)
+        given = CubeMap.of(turned(faces, np.asarray(world_from_anchor).T), None, None)
+        whole, still_camera = dict.fromkeys((f.shot for f in facts), given), False
+    else:
+        for shot, looks in seen.items():
+            cubes = [np.clip(look.cube - bias, 0, None) for look in looks]
+            if not still_camera:
+                turns = (facts[look.frame].pose.rotation for look in looks)
+                cubes = [
+                    turned(cube, t) for cube, t in zip(cubes, turns, strict=True)
+                ]
+            plane = np.mean([look.plane for look in looks], 0)
+            whole[shot] = CubeMap.of(
+                np.mean(cubes, 0), None, np.clip(plane - bias, 0, None)
+            )
     out = []
     for f in facts:
         pose, environment = f.camera_from_world, whole.get(f.shot)
         if pose is not None and environment is not None:
             if still_camera:
-                axes = tuple(pose.rotation.ravel().tolist())
-                environment = replace(environment, axes=axes)
+                environment = replace(
+                    environment, axes=tuple(pose.rotation.ravel().tolist())
+                )
             f = f.with_(environment=environment)
         out.append(f)
     return tuple(out)

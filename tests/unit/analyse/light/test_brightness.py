@@ -1,11 +1,19 @@
-"""Brightness over time: steady where nothing changes, quick where it changes."""
+"""Brightness over time: steady where nothing changes, quick where the picture does."""
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.light.brightness import brightness, common_level, steps
+from arfx.analyse.light.brightness import (
+    WITNESS_PX,
+    background_change,
+    brightness,
+    common_level,
+    small_luma,
+    steps,
+)
 
 FPS = 30.0
 NOISE = 0.008  # of a reading's logarithm, as crf 28 leaves it
@@ -15,8 +23,10 @@ RNG = np.random.default_rng
 def followed(
     luma: np.ndarray,
     prints: int = 1,
+    change: np.ndarray | None = None,
     colour: np.ndarray | None = None,
     noise: float = NOISE,
+    turn: float = 0.0,
 ) -> np.ndarray:
     """(t, 3) of prints that all show the logarithms luma (t,) or (t, prints), plus those of
     a colour (t, 3). The first is what the object stands on. turn : radians a frame
@@ -30,8 +40,10 @@ def followed(
         level + noise * RNG(1).normal(size=(t * prints, 1)) + 0.05 * print_[:, None]
     )
     level = level + 0.003 * RNG(2).normal(size=level.shape)
+    seen = np.full(t, np.nan) if change is None else change
     ones = np.ones(t * prints)
-    return brightness(np.arange(t) / FPS, frame, print_, level, ones, print_ == 0)
+    times, turns = np.arange(t) / FPS, np.full(t, turn)
+    return brightness(times, frame, print_, level, ones, print_ == 0, seen, turns)
 
 
 def test_light_that_rests_does_not_flicker() -> None:
@@ -42,8 +54,9 @@ def test_light_that_rests_does_not_flicker() -> None:
 
 def test_a_step_is_followed_in_its_frame() -> None:
     truth = np.repeat([0.0, -0.22, 0.05], 30)
-    found = followed(truth).mean(1)
-    assert np.abs(found - truth - np.median(found - truth)).max() < 3 * NOISE
+    for change in (None, np.diff(truth, prepend=0)):
+        found = followed(truth, change=change).mean(1)
+        assert np.abs(found - truth - np.median(found - truth)).max() < 3 * NOISE
 
 
 def test_a_ramp_of_one_stop_a_second_is_followed() -> None:
@@ -55,8 +68,14 @@ def test_a_ramp_of_one_stop_a_second_is_followed() -> None:
 
 def test_a_print_that_turns_under_unknown_lights_is_followed() -> None:
     slow = 0.05 * np.sin(np.arange(90) / 4)
-    found = followed(slow, noise=0.002).mean(1)
-    assert np.abs(found - slow).max() < 0.007
+    still = np.zeros(90)  # the background shows nothing: the exposure rests
+    off = [
+        np.abs(
+            followed(slow, change=still, noise=0.002, turn=turn).mean(1) - slow
+        ).max()
+        for turn in (0.0, 0.03)
+    ]
+    assert off[1] < 0.007 < off[0] / 2
 
 
 def test_a_codecs_step_of_chroma_glides() -> None:
@@ -86,7 +105,7 @@ def test_a_hand_over_another_print_changes_nothing() -> None:
 def test_a_hand_over_the_print_that_is_stood_on_darkens() -> None:
     each = np.zeros((90, 6))
     each[30:60, 0] = -0.7
-    found = followed(each, 6).mean(1)
+    found = followed(each, 6, np.zeros(90)).mean(1)
     assert found[32:58] - np.median(found[:28]) == pytest.approx(-0.7, abs=3 * NOISE)
     assert found[62:] - np.median(found[:28]) == pytest.approx(0, abs=3 * NOISE)
 
@@ -109,7 +128,9 @@ def test_frames_without_a_reading_have_what_lies_between() -> None:
     frame = np.array([*range(10), *range(20, 30)])
     ones, zeros = np.ones(20), np.zeros(20, int)
     level = np.zeros((20, 3))
-    found = brightness(times, frame, zeros, level, ones, zeros == 0)
+    unknown = np.full(30, np.nan)
+    rests = np.zeros(30)
+    found = brightness(times, frame, zeros, level, ones, zeros == 0, unknown, rests)
     assert found.shape == (30, 3) and np.abs(found).max() < 1e-9
     one = brightness(
         times,
@@ -118,8 +139,31 @@ def test_frames_without_a_reading_have_what_lies_between() -> None:
         level[:1] + 0.3,
         ones[:1],
         zeros[:1] == 0,
+        unknown,
+        rests,
     )
     assert one == pytest.approx(np.full((30, 3), 0.3))
+
+
+def test_the_background_says_how_the_exposure_changed() -> None:
+    ground = cv2.resize(
+        RNG(3).uniform(60, 140, (24, 40)).astype(np.float32),
+        (400, 240),
+        interpolation=cv2.INTER_CUBIC,
+    )
+    first = np.rint(ground[10:190, 20:340]).astype(np.uint8)
+    shifted = ground[13:193, 25:345]
+    for stops in (0.0, 0.2, -0.3):
+        later = np.clip(np.rint(shifted * 2 ** (stops / 2.2)), 0, 255).astype(
+            np.uint8
+        )
+        found = background_change(small_luma(first), small_luma(later))
+        assert found == pytest.approx(stops * np.log(2), abs=0.01)
+
+
+def test_a_background_of_nothing_says_nothing() -> None:
+    black = np.zeros(WITNESS_PX[::-1], np.float32)
+    assert np.isnan(background_change(black, black))
 
 
 def at(level: np.ndarray, noise: float) -> list[int]:

@@ -14,6 +14,7 @@ from arfx.analyse.light.over_time import (
     SWITCHED,
     WINDOWS,
     fit_over_time,
+    switches,
 )
 from arfx.core.numerics import angle_between, normalise
 from arfx.papers.s1_light import eq9_lights, hemisphere
@@ -60,7 +61,7 @@ def finite(f: LightFit) -> bool:
 
 def test_one_lamp_is_found_with_its_colour_and_the_ambient_light() -> None:
     n, d = cap(70), at(30, 40)
-    found = fit(n, seen(n, (d, 1.0)), 0.0, 0, EXACT)
+    found = fit(n, seen(n, (d, 1.0)), None, None, EXACT)
     assert found.verdict == MEASURED and len(found.lights) == 1
     assert np.degrees(angle_between(found.lights[0].direction, d)) < 0.2
     assert found.lights[0].rgb[0] == pytest.approx(
@@ -158,7 +159,7 @@ def test_what_is_not_finite_is_left_out_and_counted() -> None:
     n, d = cap(70), at(-50, 45)
     light, normals = seen(n, (d, 1.0)), n.copy()
     light[3, 1], light[4, 0], normals[5, 2] = np.nan, np.inf, np.nan
-    found = fit(normals, light, 0.0, 0, EXACT)
+    found = fit(normals, light, None, None, EXACT)
     assert found.verdict == MEASURED
     assert np.degrees(angle_between(found.lights[0].direction, d)) < 0.5
     nothing = fit(np.full((4, 3), np.nan), np.ones((4, 3)))
@@ -173,7 +174,7 @@ def test_who_knows_that_there_is_one_lamp_needs_less() -> None:
         1 + 0.003 * np.random.default_rng(2).normal(size=(80, 3))
     )
     assert fit(n, light).verdict != MEASURED
-    one = fit(n, light, 0.0, 0, Params(most_lights=1))
+    one = fit(n, light, None, None, Params(most_lights=1))
     assert (
         one.verdict == MEASURED
         and np.degrees(angle_between(one.lights[0].direction, d)) < 3
@@ -247,6 +248,19 @@ def test_exposure_that_jumps_is_not_taken_for_a_lamp() -> None:
         0.4 * LAMP, rel=0.05
     )
     assert np.degrees(angle_between(spans[0].fit.lights[0].direction, d)) < 2
+
+
+def test_steps_that_do_not_go_down_and_up_in_turn_are_no_switch() -> None:
+    t, starts = np.arange(100) / 25, [0, 25, 50]
+    down = np.where(t < 1, 1.0, np.where(t < 2, 0.6, 0.3))[:, None] * np.ones(3)
+    assert switches(t, down, starts) is None and switches(t, down, [0]) is None
+    assert switches(
+        t, np.where(t[:, None] < 2, down, 1.0 - down), starts
+    ).tolist() == [
+        1,
+        0,
+        1,
+    ]  # type: ignore[union-attr]
 
 
 def test_a_lamp_that_swings_before_one_marker_is_refused() -> None:
@@ -349,7 +363,7 @@ def test_a_pair_that_looks_the_same_makes_a_likely_light_whose_cone_holds_both()
             <= 60
         )
     assert light.angular_size_deg == MOST_SIZE_DEG
-    strict = fit(n, E, 0.0, 0, Params(likely=False))
+    strict = fit(n, E, None, None, Params(likely=False))
     assert (
         strict.verdict == REFUSED
         and not strict.lights
@@ -415,7 +429,7 @@ def test_the_cone_holds_what_slow_errors_do_where_normals_hardly_separate_ambien
             n,
             np.repeat(E[:, None], 3, 1),
             np.full((96, 3), 1e-6),
-            0,
+            None,
             Params(most_lights=1),
         )
         assert (

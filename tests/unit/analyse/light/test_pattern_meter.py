@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from arfx.analyse.job import AnalysisFrame, AnalysisJob
+from arfx.analyse.light import frames as light_frames
 from arfx.analyse.light.patches import (
     SOFT,
     Patches,
@@ -20,8 +21,7 @@ from arfx.analyse.light.patches import (
     read_print,
     stack,
 )
-from arfx.analyse.light.photometry import Photometry, solve
-from arfx.analyse.light.static_frame import StaticFrameLight
+from arfx.analyse.light.photometry import LightReading, Photometry, solve
 from arfx.analyse.params import LightParams
 from arfx.core.marker import PatternSpec
 from arfx.core.rect import Rect
@@ -142,14 +142,14 @@ def test_the_whole_analysis_reads_the_light_from_a_print(
     if formula == "paper":
         printed = FORMULAS["paper"]["light"]
         method, params = printed.with_light, printed.Params()
-    solved: list[np.ndarray] = []
-    made = StaticFrameLight.__init__
+    solved: list[LightReading] = []
+    kept = light_frames.Readings
 
-    def kept(self: StaticFrameLight, *of: Any) -> None:
-        made(self, *of)
-        solved.append(self.readings.radiance)
+    def readings(*a: Any) -> object:
+        solved.append(a[4][0])
+        return kept(*a)
 
-    monkeypatch.setattr(StaticFrameLight, "__init__", kept)
+    monkeypatch.setattr(light_frames, "Readings", readings)
     prints = {PRINT.key: PRINTED}
     job = AnalysisJob((PRINT,), CAM, light=params, light_method=method, prints=prints)
     analyser, back = (
@@ -173,5 +173,5 @@ def test_the_whole_analysis_reads_the_light_from_a_print(
     clip = analyser.finish()
     assert clip.summary["light"]["photometry"]["readings_used"] == len(LIGHTS)
     # a bias that is not certain, of up to .012, is in the light
-    np.testing.assert_allclose(solved[0], LIGHTS, rtol=0.04)
+    np.testing.assert_allclose(solved[0].y, LIGHTS, rtol=0.04)
     np.testing.assert_allclose(clip.summary["light"]["bias"], BIAS, atol=0.003)

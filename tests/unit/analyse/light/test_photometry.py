@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 
-from arfx.analyse.light.patches import WHITE, of_one_scale
+from arfx.analyse.light.patches import WHITE, comparable
 from arfx.analyse.light.photometry import (
     DEGENERATE,
     EXACT,
@@ -370,12 +370,14 @@ def test_time_is_linear_in_frames(formula: str) -> None:
     assert seconds(10_000) < 25 * seconds(1000)  # quadratic: 100 times
 
 
-@pytest.mark.parametrize(("overexposed", "scale"), [(0, 1.0), (12, 1.0), (25, 1.2)])
-def test_overexposed_readings_are_read_from_the_ink_and_all_are_of_one_scale(
-    overexposed: int, scale: float
+@pytest.mark.parametrize(
+    ("overexposed", "kept", "of_ink"),
+    [(0, 30, False), (3, 27, False), (12, 30, True)],
+)
+def test_overexposed_readings_are_left_out_or_all_are_read_from_the_ink(
+    overexposed: int, kept: int, of_ink: bool
 ) -> None:
-    """The ink is .06 in truth: read from it alone, all light is 1.2 times as much. Few that
-    show both bring it to the paper's scale."""
+    """The ink is .06 in truth: read from it, all light is 1.2 times as much, but of one scale."""
     grey, y = clip(30, rho=np.where(WHITE, PAPER, 0.06), bias=0.0, noise=1e-5)
     clipped = np.zeros(grey.shape[:2])
     clipped[:overexposed, WHITE] = 1.0
@@ -383,12 +385,12 @@ def test_overexposed_readings_are_read_from_the_ink_and_all_are_of_one_scale(
     variance = np.full(grey.shape, 1e-10)
     p = solve(grey, variance, RHO, clipped=clipped)
     rho = np.broadcast_to(RHO[:, None], grey.shape)
-    light, own = of_one_scale(p, grey, variance, clipped, rho)
-    assert (own < UNKNOWN_VARIANCE).all()
+    alone = comparable(p, grey, variance, clipped, rho) or p.reading
+    light, fit = alone.y, alone.fit
     for c in range(3):
-        line = np.polyfit(y[:, c], light[:, c], 1)
-        assert line[0] == pytest.approx(scale, abs=0.03)
-        assert np.abs(light[:, c] - np.polyval(line, y[:, c])).max() < 0.005
-        if overexposed:  # as they come, both kinds together have no one scale
+        line = np.polyfit(y[fit, c], light[fit, c], 1)
+        assert line[0] == pytest.approx(1.2 if of_ink else 1.0, abs=0.03)
+        assert np.abs(light[fit, c] - np.polyval(line, y[fit, c])).max() < 0.005
+        if of_ink:  # both kinds together have no one scale
             both = np.polyfit(y[:, c], p.y[:, c], 1)
             assert np.abs(p.y[:, c] - np.polyval(both, y[:, c])).max() > 0.02

@@ -61,10 +61,16 @@ def analysed(
     clip: Clip, still_camera: bool = False
 ) -> tuple[tuple[FrameFacts, ...], dict[str, np.ndarray]]:
     samples = [
-        environment_sample(look.frame, look.picture.astype(np.float32), QUAD)
+        environment_sample(
+            look.frame,
+            look.picture.astype(float),
+            QUAD,
+            look.picture.shape[1],
+            look.darkest,
+        )
         for look in clip.looks
     ]
-    guessed = with_environment(clip.facts, samples, still_camera)
+    guessed = with_environment(clip.facts, samples, still_camera, None, np.eye(3))
     return with_seen(guessed, clip.looks, CAMERA, still_camera, np.zeros(3), UP)
 
 
@@ -208,7 +214,7 @@ def test_a_still_room_does_not_flicker() -> None:
     """Under noise of 2 % of white: beside maps of single looks, one in each frame."""
     clip = replace(ROUND.at_rest(), seconds=8.0)
     noise = np.random.default_rng(3)
-    looks = [Snapshot(look.frame, np.clip(look.picture + noise.normal(0, 0.02, look.picture.shape), 0, 1).astype(np.float16))
+    looks = [Snapshot(look.frame, np.clip(look.picture + noise.normal(0, 0.02, look.picture.shape), 0, 1).astype(np.float16), np.zeros(3))
              for look in clip.looks]  # fmt: skip
     found, maps = with_seen(analysed(clip)[0], looks, CAMERA, False, np.zeros(3), UP)
     s = scene(maps)
@@ -281,7 +287,7 @@ def test_a_given_panorama_is_known_everywhere() -> None:
     ]
     assert side / other == pytest.approx(4, rel=0.1)
     assert {f.seen_environment for f in found} == {found[0].seen_environment}
-    given = found[0]
+    given = with_environment(found, [], False, picture, np.eye(3))[0]
     narrow, wide = cubes(given, scene(maps))
     np.testing.assert_array_equal(narrow, wide)
     assert irradiance(narrow, UP) == pytest.approx(
@@ -295,7 +301,7 @@ def test_frames_without_a_pose_have_none_and_a_missing_map_is_said() -> None:
     ]
     found, maps = with_seen(
         lost,
-        [Snapshot(1, ROUND.looks[0].picture)],
+        [Snapshot(1, ROUND.looks[0].picture, np.zeros(3))],
         CAMERA,
         False,
         np.zeros(3),
@@ -324,7 +330,10 @@ def test_a_fisheye_lens_sees_what_it_sees() -> None:
         "fisheye",
     )
     clip = CLIPS["under a sky"].at_rest()
-    looks = [Snapshot(k, clip.picture(k, wide).astype(np.float16)) for k in (0, 20)]
+    looks = [
+        Snapshot(k, clip.picture(k, wide).astype(np.float16), np.zeros(3))
+        for k in (0, 20)
+    ]
     found, maps = with_seen(clip.facts, looks, wide, False, np.zeros(3), UP)
     rgba = seen_now(found[0], scene(maps))
     assert np.isfinite(rgba).all() and (rgba[..., 3] > 0.99).mean() > 0.15

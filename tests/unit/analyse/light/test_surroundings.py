@@ -7,7 +7,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from arfx.analyse.light.seen import given_everywhere
 from arfx.analyse.light.surroundings import (
     EnvironmentSample,
     cube_from_picture,
@@ -108,7 +107,7 @@ def test_the_papers_fold_has_a_seam_and_the_corrected_one_none() -> None:
     assert largest_step(cube_from_picture(picture, 12)) < 0.16
     assert np.abs(cube_from_picture(GREY) - [0.2, 0.4, 0.6]).max() < 1e-6
     quad = np.array([[100.0, 80], [140, 80], [140, 120], [100, 120]])
-    kept = environment_sample(0, picture, quad).cube
+    kept = environment_sample(0, picture, quad, 240, np.zeros(3)).cube
     assert largest_step(kept) < 0.3 and kept.shape == (6, 6, 6, 3)
 
 
@@ -165,7 +164,7 @@ def test_every_frame_of_a_shot_has_one_environment_fixed_in_the_room() -> None:
         EnvironmentSample(k, turned(room, p.rotation.T), np.zeros(3), np.zeros(3))
         for k, p in enumerate(poses)
     ]
-    made = with_environment(facts, samples, False)
+    made = with_environment(facts, samples, False, None, np.eye(3))
     assert (
         made[3].environment is None
         and made[0].environment is made[2].environment is not None
@@ -177,6 +176,8 @@ def test_every_frame_of_a_shot_has_one_environment_fixed_in_the_room() -> None:
         facts,
         [EnvironmentSample(0, room, np.zeros(3), np.zeros(3))],
         True,
+        None,
+        np.eye(3),
     )
     assert still[2].environment is not None and still[2].environment.axes is not None
     room_at_rest = turned(
@@ -185,7 +186,7 @@ def test_every_frame_of_a_shot_has_one_environment_fixed_in_the_room() -> None:
     )
     back = turned(room_at_rest, poses[2].rotation.T)
     np.testing.assert_allclose(back, room, atol=0.25)
-    given, _ = given_everywhere(facts, np.full((16, 32, 3), 0.3), np.eye(3))
+    given = with_environment(facts, [], False, np.full((16, 32, 3), 0.3), np.eye(3))
     np.testing.assert_allclose(checked_faces(given[1].environment), 0.3, rtol=2e-3)
 
 
