@@ -59,9 +59,9 @@ def _panel(
 ) -> Mapping[str, Any]:
     """Curves of label, colour and values (n,) from 0 to the top of an axis with ticks."""
     most = [float(np.nanmax(px)) for _, _, px in curves if np.isfinite(px).any()]
-    ticks = _ticks(max([*most, 1e-3]) * 1.05)
+    top = 1.05 * max([*most, 1e-3])
     shown = [(label, colour, _thinned(times, px)) for label, colour, px in curves]
-    return {"top": max([*most, 1e-3]) * 1.05, "ticks": ticks, "curves": shown}
+    return {"top": top, "ticks": _ticks(top), "curves": shown}
 
 
 def _thinned(times: ndarray, values: ndarray) -> list[list[tuple[float, float]]]:

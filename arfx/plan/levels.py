@@ -129,17 +129,6 @@ def cheapest_within_error(
     )
 
 
-def by_quality(
-    options: Mapping[ShotStage, Sequence[Option]], levels: Mapping[str, str]
-) -> LevelChoice:
-    """levels : by stage, as a quality names them"""
-    state = {
-        key: next(o for o in every if o.level == levels[key[1]])
-        for key, every in options.items()
-    }
-    return _choice(state, True, "levels named by the quality")
-
-
 def _start(
     options: Mapping[ShotStage, Sequence[Option]],
 ) -> tuple[dict[ShotStage, Option], list[tuple[float, ShotStage, Option]]]:
