@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy import ndarray
 
@@ -98,6 +99,12 @@ class Rect(NamedTuple):
         whole = np.clip(np.floor(np.add(ends, 0.5)), -limit, limit).astype(int)
         x0, y0, x1, y1 = whole.tolist()
         return Rect(x0, y0, x1 + 1, y1 + 1)
+
+    @staticmethod
+    def holding(mask: ndarray) -> Rect:
+        """Smallest rectangle that holds what is not 0 of (h, w)."""
+        x, y, width, height = cv2.boundingRect((mask != 0).view(np.uint8))
+        return Rect(x, y, x + width, y + height)
 
     @staticmethod
     def of(width: int, height: int) -> Rect:

@@ -60,9 +60,11 @@ def difference(reference: ndarray, test: ndarray, where: ndarray) -> Difference:
     """
     if not where.any():
         return Difference()
-    x, y, width, height = cv2.boundingRect(where.astype(np.uint8))
-    box = Rect(x, y, x + width, y + height)
-    seen = box.pad(MARGIN_PX).clip(Rect.of(where.shape[1], where.shape[0]))
+    seen = (
+        Rect.holding(where)
+        .pad(MARGIN_PX)
+        .clip(Rect.of(where.shape[1], where.shape[0]))
+    )
     a, b, inside = reference[seen.slices], test[seen.slices], where[seen.slices]
     apart = level_difference(a, b)
     values = apart[inside]

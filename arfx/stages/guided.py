@@ -46,11 +46,10 @@ def refined(mask: ndarray, valid: ndarray, plate: ndarray, radius_px: int) -> nd
     mixed = (
         cv2.dilate(np.where(valid > 0, mask, 0).astype(np.float32), around) > least
     ) & (valid > 0)
-    x, y, width, height = cv2.boundingRect(mixed.view(np.uint8))
-    if not width:
+    held = Rect.holding(mixed)
+    if held.empty:
         return mask
-    whole = Rect(0, 0, *mask.shape[::-1])
-    box = Rect(x, y, x + width, y + height).pad(reach).clip(whole).slices
+    box = held.pad(reach).clip(Rect(0, 0, *mask.shape[::-1])).slices
     # about as the eye grades it: square root of linear light, at most 2
     guide = [
         np.sqrt(np.clip(plate[box][..., c], 0, 4)).astype(np.float32)

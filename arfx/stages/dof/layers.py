@@ -165,7 +165,7 @@ def _object(
 
 def _occluder(area: Rect, box: Rect, light: ndarray, radius: ndarray) -> LightLayer:
     """A layer over as much of `area` as it and its blur take. light, radius : over `box`"""
-    covered = box_of(light[..., 3])
+    covered = Rect.holding(light[..., 3])
     light, radius = light[covered.slices], radius[covered.slices]
     box, coverage = covered.shift(box.x0, box.y0), light[..., 3]
     within = radius * (coverage > 0)
@@ -202,9 +202,3 @@ def _radius_around(rect: Rect, coverage: ndarray, radius: ndarray) -> ndarray:
     of_label[nearest[known]] = means[known]
     whole = cv2.resize(of_label[nearest], (tiles.width, tiles.height))
     return whole[inner]
-
-
-def box_of(mask: ndarray) -> Rect:
-    """Smallest rectangle that holds what is not 0."""
-    x, y, width, height = cv2.boundingRect((mask != 0).view(np.uint8))
-    return Rect(x, y, x + width, y + height)

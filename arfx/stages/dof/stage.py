@@ -31,7 +31,6 @@ from arfx.core.stage import Check, Demand, JobView, Stage, View
 from arfx.stages.dof.aperture import SHARP_PX
 from arfx.stages.dof.blur import LEVELS, blurred
 from arfx.stages.dof.layers import (
-    box_of,
     layers_of_light,
     object_box,
     object_radius_px,
@@ -170,7 +169,7 @@ def blurred_rect(real: Real, grid: ndarray, coc: CircleOfConfusion) -> Rect:
             radius = np.maximum(
                 radius, np.where(plane.within(positions, 4.0), own, 0)
             )
-    box = box_of(radius > SHARP_PX)
+    box = Rect.holding(radius > SHARP_PX)
     whole = Rect(*(side * v for v in box))
     return whole.pad(int(np.ceil(float(radius.max()))) + 1 + node)
 
