@@ -3,9 +3,7 @@ expected, else from where they were, or found by their features."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-
-from numpy import ndarray
+from collections.abc import Mapping, Sequence
 
 from arfx.analyse.job import AnalysisFrame
 from arfx.analyse.markers.detect import Detection
@@ -36,7 +34,7 @@ class PicturedPrints:
             if track := last.get(picture.name):
                 quads = track.predicted(frame.time_s), track.quad
                 abouts = (homography_of(camera.normalised(quad)) for quad in quads)
-                seen += _first(picture, frame, camera, abouts)
+                seen += picture.align(frame.luma, camera, abouts)
         return seen
 
     def find(
@@ -46,22 +44,7 @@ class PicturedPrints:
         features = frame_features(frame.luma, WHOLE_PX if whole else REDUCED_PX)
         seen = list[Detection]()
         for picture in self._pictures:
-            about = (
-                picture.find(features, camera) if picture.name in missing else None
-            )
-            if about is not None:
-                seen += _first(picture, frame, camera, [about])
+            if picture.name in missing:
+                abouts = picture.find(features, camera)
+                seen += picture.align(frame.luma, camera, abouts)
         return seen
-
-
-def _first(
-    picture: PatternPicture,
-    frame: AnalysisFrame,
-    camera: Camera,
-    abouts: Iterable[ndarray],
-) -> list[Detection]:
-    """The print, if it is there. abouts : ideal_from_unit, the first that leads to it counts"""
-    for about in abouts:
-        if there := picture.align(frame.luma, camera, about):
-            return [there[0]]
-    return []
