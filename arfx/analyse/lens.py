@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy import ndarray
@@ -86,23 +86,21 @@ class SideBlurs(NamedTuple):
 class SideReader:
     """Measures how the sides of coded prints are blurred."""
 
-    tables: ClassVar[Mapping[str, type]] = {"sides": SideBlurs}
-
     def __init__(self) -> None:
-        self.sides: list[SideBlurs] = []
+        self.rows: list[SideBlurs] = []
 
     def step(self, frame: AnalysisFrame, shown: Sequence[Sighting]) -> None:
         for s in shown:
             corners = s.print.corners_px
             family = s.print.key.rpartition(":")[0]
             # nothing is known of the edges around a pattern
-            if s.duplicate or family not in FAMILIES:
+            if family not in FAMILIES:
                 continue
             table = linear_table(s.transfer or LIGHT)
             blurs = side_blurs(frame.luma, corners, cells_per_side(family), table)
             if np.isfinite(blurs).any():
                 row = SideBlurs(frame.index, s.transfer, s.print.key, blurs, corners)
-                self.sides.append(row)
+                self.rows.append(row)
 
 
 def with_lens(

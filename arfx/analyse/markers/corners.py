@@ -2,13 +2,11 @@
 
 Two errors are predicted: what scatters along a side (sigma_px), and what all of its samples
 share (shared_px). In which values edges are symmetric, light or code, is known once all of
-the clip is (`chosen_transfer`): where edges are not symmetric in light, corners are refined in
-code too. Leaves out: rolling shutter.
+the clip is (`search.choose_transfer`). Leaves out: rolling shutter.
 Source: docs/methods/pose.md#corners. Cost: about 1 ms a frame, and .3 ms a marker."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache
 from typing import NamedTuple
 
@@ -16,7 +14,7 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from arfx.analyse.markers.detect import Candidate, Detection, sides
+from arfx.analyse.markers.detect import sides
 from arfx.analyse.markers.edges import (
     FRACTIONS,
     SAMPLES,
@@ -25,10 +23,8 @@ from arfx.analyse.markers.edges import (
     Edges,
     find_edges,
 )
-from arfx.analyse.markers.inner_edges import misplaced_px
 from arfx.core.camera import FISHEYE, Camera
 from arfx.core.colour import Transfer
-from arfx.core.marker_codes import cells_per_side
 from arfx.core.numerics import divide
 
 # OpenCV thresholds against a neighbourhood of up to 23 px: of a large marker it may report
@@ -56,10 +52,6 @@ MOST_PX = (
 )
 # from coded luma to the values in which corners are refined
 LIGHT, CODE = "srgb", "gamma:1"
-SIGHTINGS = 12  # by fewer than that nothing is decided
-# Measured: true linear blur gives skews up to .03 in light; camera-sharpened footage .19 in
-# light and -.03 in code.
-SKEWED = 0.07
 
 
 class Corners(NamedTuple):
@@ -201,41 +193,3 @@ def _bend(quad: ndarray, camera: Camera | None) -> ndarray:
         share = share - along
     off -= along * chord
     return np.where(np.isfinite(off), off, 0.0)
-
-
-def symmetric_in_light(skew: float) -> bool:
-    """Whether an edge is, or cannot be told to be otherwise. skew : in light"""
-    return not abs(skew) > SKEWED
-
-
-def chosen_transfer(in_light: Sequence[float], in_code: Sequence[float]) -> str:
-    """LIGHT or CODE: in which edges are symmetric.
-
-    in_light : skew of all prints;  in_code : of those that are not symmetric in light"""
-    known, others = (
-        [s for s in skews if np.isfinite(s)] for skews in (in_light, in_code)
-    )
-    if len(known) < SIGHTINGS or not others:
-        return LIGHT
-    skew, other = (abs(float(np.median(skews))) for skews in (known, others))
-    return CODE if not symmetric_in_light(skew) and other < 0.5 * skew else LIGHT
-
-
-def refine_found(
-    luma: ndarray, found: Sequence[Candidate], transfer: str, camera: Camera
-) -> list[tuple[Detection, float]]:
-    """The prints that were found, refined in LIGHT or CODE, each with the skew of its edges,
-    as of `Corners`."""
-    if not found:
-        return []
-    quads, table = np.stack([c.quad_px for c in found]), linear_table(transfer)
-    cells = np.array([cells_per_side(c.family) for c in found])
-    r = refine_corners(luma, quads, cells, table, camera)
-    numbers = (a.tolist() for a in (r.sigma_px, r.blur_px, r.inverted, r.skew))
-    out = []
-    for c, quad, sigma, blur, inverted, skew in zip(
-        found, r.corners_px, *numbers, strict=True
-    ):
-        off = misplaced_px(luma, quad, c.family, c.id, inverted, table)
-        out.append((Detection(c.key, quad, sigma, blur, inverted, off), skew))
-    return out

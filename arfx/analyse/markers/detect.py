@@ -85,17 +85,11 @@ class Detection(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One frame.
-
-    duplicates : further prints with a key that is in `detections` too
-    thumbnail : (18, 32) uint8, the whole picture
-    """
+    """One frame. thumbnail : (18, 32) uint8, the whole picture"""
 
     index: int
     time_s: float
     detections: tuple[Detection, ...]
-    duplicates: tuple[Detection, ...]
-    whole: bool
     thumbnail: ndarray
 
 

@@ -7,8 +7,6 @@ of few bits turn up everywhere."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import cv2
 import numpy as np
 from numpy import ndarray
@@ -74,17 +72,9 @@ def legible(luma: ndarray, seen: Candidate) -> tuple[bool, bool]:
     return sure or wrong == 0 or chance <= HOLDS, sure
 
 
-def scan(luma: ndarray) -> set[str]:
-    """Keys of the plain markers of all families in a picture (h, w) uint8."""
+def scan(luma: ndarray) -> list[str]:
+    """Keys of the plain markers of all families in a picture (h, w) uint8, of nested
+    dictionaries by the smallest."""
     seen = MarkerDetector(SCANNED_FAMILIES, MIN_SIDE_PX, inverted=False).search(luma)
-    return {c.key for c in seen if legible(luma, c)[1]}
-
-
-def likeliest(counts: Mapping[str, int]) -> list[str]:
-    """Keys seen, and how often: most often seen first; among equals the families that are
-    hardest to misread first.
-    """
-    return sorted(
-        counts,
-        key=lambda k: (-counts[k], SCANNED_FAMILIES.index(k.rsplit(":", 1)[0]), k),
-    )
+    plain = [c for c in seen if legible(luma, c)[1]]
+    return sorted({f"{smallest_family(c.family, c.id)}:{c.id}" for c in plain})

@@ -62,20 +62,6 @@ class Prints(Protocol):
         """Sightings anywhere. missing : what is looked for;  whole : at full resolution"""
 
 
-class Found(NamedTuple):
-    """What one frame gave.
-
-    sightings : the chosen one per configured key;  duplicates : further ones with the same key
-    others : keys that are not configured;  whole : the whole frame was searched at full
-    resolution
-    """
-
-    sightings: list[Any]
-    duplicates: list[Any]
-    others: list[str]
-    whole: bool
-
-
 class Tracker:
     """Fed the frames of a stretch in order. tracks : by key"""
 
@@ -85,8 +71,9 @@ class Tracker:
         self._frames = 0
         self._last_whole_s = -math.inf
 
-    def search(self, frame: AnalysisFrame) -> Found:
-        """What the next frame shows."""
+    def search(self, frame: AnalysisFrame) -> tuple[list[Any], list[str]]:
+        """What the next frame shows of the configured prints: the chosen one per key, and the
+        keys of which there are further ones."""
         quick, keys = self.prints.quick, self.prints.keys
         seen = self.prints.follow(frame, self.tracks)
         followed = {s.key for s in seen}
@@ -105,38 +92,36 @@ class Tracker:
         if whole:
             self._last_whole_s = frame.time_s
         self._frames += 1
-        return self._chosen(frame.time_s, seen, whole)
-
-    def _chosen(self, time_s: float, seen: Sequence[Any], whole: bool) -> Found:
-        chosen, duplicates = list[Any](), list[Any]()
-        for key in self.prints.keys:
-            prints = list[Any]()
-            # one sighting per place: two within half a side of each other are one print
-            for s in seen:
-                if s.key == key and all(
-                    _apart(s, o.quad_px) > 0.5 * o.side_px for o in prints
-                ):
-                    prints.append(s)
-            track, speed = self.tracks.get(key), np.zeros((4, 2))
-            if track:
-                expected = track.predicted(time_s)
-                prints.sort(key=lambda s: _apart(s, expected))
-            else:
-                prints.sort(key=lambda s: -s.side_px)
-            chosen += prints[:1]
-            duplicates += prints[1:]
-            since_s = time_s - track.time_s if track else 0.0
+        chosen, twice = list[Any](), list[str]()
+        for key in keys:
+            prints = [s for s in seen if s.key == key]
+            track = self.tracks.get(key)
             if prints:
-                quad = prints[0].quad_px
-                if track and 0 < since_s < _PAIR_S:
-                    speed = (quad - track.quad) / max(since_s, 1e-3)
-                self.tracks[key] = Track(quad, speed, time_s)
-            elif since_s > SEARCH_INTERVAL_S:
+                best = _best(prints, track, frame.time_s)
+                chosen.append(best)
+                self.tracks[key] = _track(best.quad_px, track, frame.time_s)
+                # two within half a side of each other are one print
+                if any(_apart(s, best.quad_px) > 0.5 * best.side_px for s in prints):
+                    twice.append(key)
+            elif track and frame.time_s - track.time_s > SEARCH_INTERVAL_S:
                 del self.tracks[key]
             elif track:
                 self.tracks[key] = track._replace(missing=track.missing + 1)
-        others = sorted({s.key for s in seen} - set(self.prints.keys))
-        return Found(chosen, duplicates, others, whole)
+        return chosen, twice
+
+
+def _best(prints: Sequence[Any], track: Track | None, time_s: float) -> Any:
+    if track is None:
+        return max(prints, key=lambda s: s.side_px)
+    expected = track.predicted(time_s)
+    return min(prints, key=lambda s: _apart(s, expected))
+
+
+def _track(quad: ndarray, before: Track | None, time_s: float) -> Track:
+    speed = np.zeros((4, 2))
+    if before and 0 < time_s - before.time_s < _PAIR_S:
+        speed = (quad - before.quad) / max(time_s - before.time_s, 1e-3)
+    return Track(quad, speed, time_s)
 
 
 def _apart(seen: Any, quad: ndarray) -> float:

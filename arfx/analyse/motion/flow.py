@@ -11,10 +11,10 @@ blur of 1280 x 720) a frame.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -99,16 +99,15 @@ class BackgroundMotion:
     """Collects MotionSteps of a part of the clip, in order, and the pictures that it is
     compared with those beside it by."""
 
-    tables: ClassVar[Mapping[str, type]] = {
-        "steps": MotionStep,
-        "key_pictures": KeyPicture,
-    }
-
     def __init__(self) -> None:
         self.steps: list[MotionStep] = []
         self.key_pictures: list[KeyPicture] = []
         # back of the last epoch, 0 where that is the key
         self._last: ndarray | float = 0.0
+
+    @property
+    def rows(self) -> list[Any]:
+        return [*self.steps, *self.key_pictures]
 
     def step(self, frame: AnalysisFrame, _: Sequence[Sighting] = ()) -> None:
         index, luma = frame.index, frame.luma

@@ -6,17 +6,16 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.markers.corners import (
-    CODE,
-    LIGHT,
-    SIGHTINGS,
-    chosen_transfer,
-    linear_table,
-    refine_corners,
-    refine_found,
-    symmetric_in_light,
-)
+from arfx.analyse.markers.corners import CODE, LIGHT, linear_table, refine_corners
 from arfx.analyse.markers.detect import Candidate, MarkerDetector
+from arfx.analyse.markers.search import (
+    ANY,
+    SIGHTINGS,
+    Sighting,
+    choose_transfer,
+    coded_sightings,
+    refined,
+)
 from arfx.core.camera import Camera
 from arfx.core.colour import Transfer
 from arfx.core.marker import MarkerSpec
@@ -271,17 +270,17 @@ def test_marker_at_the_frame_border_stays_finite() -> None:
 def test_edge_domain_is_found_from_the_edges(linear: bool, expected: str) -> None:
     m = MarkerSpec("36h11", 1, 0.1)
     detector = MarkerDetector(["36h11"])
-    skews: tuple[list[float], list[float]] = [], []
+    seen: list[Sighting] = []
     for k, pose in enumerate(poses(34, m.size_m, SIGHTINGS + 4)):
         image = picture(
             CAM, [(m, pose)], BACK, noise=1.0, blur_px=0.8, seed=k, linear=linear
         )
         found = [c for c in detector.search(image) if c.key == m.key]
-        for some, transfer in zip(skews, (LIGHT, CODE), strict=True):
-            some += [skew for _, skew in refine_found(image, found, transfer, CAM)]
-    assert chosen_transfer(*skews) == expected
-    few = skews[0][: SIGHTINGS - 1], skews[1]
-    assert chosen_transfer(*few) == LIGHT, "too few to tell by"
+        for transfer in (LIGHT, CODE):
+            seen += refined(k, image, found, transfer, CAM)
+    assert choose_transfer(seen) == expected
+    few = seen[: 2 * SIGHTINGS - 2]
+    assert choose_transfer(few) == LIGHT, "too few to tell by"
 
 
 def test_edges_too_poor_to_tell_are_taken_for_light() -> None:
@@ -289,7 +288,6 @@ def test_edges_too_poor_to_tell_are_taken_for_light() -> None:
         "36h11", 1, np.array([[100.0, 60], [160, 60], [160, 120], [100, 120]])
     )
     flat = np.full((240, 320), 90, np.uint8)
-    ((_, skew),) = refine_found(flat, [poor], LIGHT, CAM)
-    assert np.isnan(skew)
-    assert symmetric_in_light(skew)
-    assert chosen_transfer([skew] * (2 * SIGHTINGS), [0.5]) == LIGHT
+    (seen,) = coded_sightings(0, flat, [poor], CAM)
+    assert np.isnan(seen.skew) and seen.transfer == ANY
+    assert choose_transfer([seen] * (2 * SIGHTINGS)) == LIGHT

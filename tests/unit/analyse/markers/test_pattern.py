@@ -67,7 +67,7 @@ def tracked(
 ) -> list[Detection | None]:
     tracker = Tracker(PicturedPrints([known], cam))
     return [
-        next(iter(tracker.search(AnalysisFrame(k, k / 25, luma)).sightings), None)
+        next(iter(tracker.search(AnalysisFrame(k, k / 25, luma))[0]), None)
         for k, luma in enumerate(frames)
     ]
 
