@@ -191,12 +191,10 @@ def flow_once() -> Iterator[None]:
     """
     kept: dict[tuple[Any, ...], Any] = {}
 
-    def back(
-        small: np.ndarray, reference: np.ndarray, *size: int, find: Any = flow._back
-    ) -> Any:
-        key = small.tobytes(), reference.tobytes(), small.shape, size
+    def back(now: KeyPicture, reference: np.ndarray, find: Any = flow._back) -> Any:
+        key = now.picture.tobytes(), reference.tobytes(), now.width, now.height
         if key not in kept:
-            kept[key] = find(small, reference, *size)
+            kept[key] = find(now, reference)
         return copy.deepcopy(kept[key])
 
     with pytest.MonkeyPatch.context() as patch:
