@@ -184,16 +184,11 @@ def lens_from_blur(
         known = f"{len(d)} edges of known distance and blur"
         return LensFit(False, f"{known}, at least {MIN_EDGES} are needed")
     middle, spread = float(d.mean()), float(np.subtract(*np.percentile(d, (95, 5))))
-    if spread < 1e-6 * middle:
-        return LensFit(
-            False, "the markers are all at one distance: any focus explains the blur"
-        )
     error = 2 * blur * sigma  # of blur squared
-    a = np.vander((d - middle) / spread, 3) / error[:, None]
-    if condition(a.T @ a) > MAX_CONDITION:
-        return LensFit(
-            False, "the markers' distances do not separate a parabola from a line"
-        )
+    a = np.vander(divide(d - middle, spread), 3) / error[:, None]
+    if spread < 1e-6 * middle or condition(a.T @ a) > MAX_CONDITION:
+        why = "the markers' distances do not separate a parabola from a line"
+        return LensFit(False, f"{why}: any focus explains the blur")
     b = blur**2 / error
     p = least_squares(
         lambda p: a @ p - b,

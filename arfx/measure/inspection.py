@@ -27,7 +27,7 @@ from arfx.analyse.pose.planar import both_poses
 from arfx.analyse.pose.shots import find_cuts, thumbnail, unlikeness
 from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec, smallest_family
-from arfx.core.marker_codes import cells_per_side
+from arfx.core.marker_codes import UNIT_SQUARE, cells_per_side
 from arfx.core.numerics import angle_between, divide
 from arfx.core.pose import Pose
 from arfx.measure.truth import quantiles
@@ -35,7 +35,6 @@ from arfx.media.clip import PHOTO, ClipInfo
 from arfx.media.frames import ClipReader
 
 MIN_SIDE_PX = 12.0  # smaller squares are found in any texture
-_UNIT = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
 _SQUARE = 0.1  # by which sides and diagonals of a square may differ
 _SAME_SIZE = 0.06  # prints of one size are measured as different by less
 # clips up to this many frames are read whole (cuts are found too); longer ones by seeking
@@ -251,7 +250,7 @@ def relative_size(first: Found, m: Found) -> float | None:
     sizes, together = list[float](), first.quads.keys() & m.quads.keys()
     for i in together:
         ours, theirs = (q[i][0].astype(np.float32) for q in (first.quads, m.quads))
-        flat = cv2.getPerspectiveTransform(ours, _UNIT)
+        flat = cv2.getPerspectiveTransform(ours, UNIT_SQUARE)
         quad = cv2.perspectiveTransform(theirs[None], flat)[0]
         sides = np.linalg.norm(quad - quad[[1, 2, 3, 0]], axis=1)
         across = np.linalg.norm(quad[:2] - quad[2:], axis=1) / np.sqrt(2)

@@ -32,7 +32,7 @@ class CodedPrints:
 
     def __init__(self, keys: Sequence[str], detect_inverted: bool = True) -> None:
         self.keys: Sequence[str] = tuple(keys)
-        families = [k.rpartition(":")[0] for k in keys]
+        families = dict.fromkeys(k.rpartition(":")[0] for k in keys)
         self.detector = MarkerDetector(families, inverted=detect_inverted)
         self._in_view = False  # in the frame before
         self._empty = -1  # number of a frame whose reduced image shows none
@@ -99,7 +99,7 @@ def _rect(track: Track, time_s: float) -> Rect:
 def _merged(rects: Iterable[Rect], luma: ndarray) -> list[Rect]:
     """The parts of rectangles within the picture, overlapping ones united, so that no marker
     is reported twice."""
-    whole = Rect.of(luma.shape[1], luma.shape[0])
+    whole = Rect.of(*luma.shape[::-1])
     out: list[Rect] = []
     for r in (r.clip(whole) for r in rects):
         if r.empty:

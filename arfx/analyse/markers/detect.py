@@ -121,7 +121,7 @@ class MarkerDetector:
         min_side_px : leave out what is smaller (of the image searched), beside what the
         detector leaves out anyway
         """
-        whole = Rect.of(luma.shape[1], luma.shape[0])
+        whole = Rect.of(*luma.shape[::-1])
         area = whole if rect is None else rect.clip(whole)
         if min(area.width, area.height) < 8:
             return []

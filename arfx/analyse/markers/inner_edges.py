@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from arfx.core.marker_codes import cells_per_side, marker_cells
+from arfx.core.marker_codes import UNIT_SQUARE, cells_per_side, marker_cells
 from arfx.core.numerics import divide
 
 # cells, where a line between two cells is sampled, between the middles of both
@@ -60,9 +60,9 @@ def misplaced_px(
     """
     cells = cells_per_side(family)
     middle, normal = _lines(family, number)
-    if len(middle) < LEAST_LINES or not np.isfinite(corners_px).all():
+    if len(middle) < LEAST_LINES:
         return 0.0
-    square = np.array([[0, 0], [cells, 0], [cells, cells], [0, cells]], np.float32)
+    square = cells * UNIT_SQUARE
     h = cv2.getPerspectiveTransform(square, np.asarray(corners_px, np.float32))
     at = middle[:, None] + _ACROSS[:, None] * normal[:, None]
     x, y = np.moveaxis(cv2.perspectiveTransform(at, h).astype(np.float32), -1, 0)

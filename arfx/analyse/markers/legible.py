@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from arfx.analyse.markers.detect import SCANNED_FAMILIES, Candidate, MarkerDetector
 from arfx.core.marker import FAMILIES, smallest_family
-from arfx.core.marker_codes import cells_per_side, marker_cells
+from arfx.core.marker_codes import UNIT_SQUARE, cells_per_side, marker_cells
 from arfx.core.numerics import divide
 
 # Numbers of the frames that are searched: all of a photo, few of a long clip.
@@ -38,11 +38,7 @@ def legible(luma: ndarray, seen: Candidate) -> tuple[bool, bool]:
     from scipy.special import bdtr
 
     n = cells_per_side(seen.family)
-    corners = (
-        SAMPLES
-        * np.array([[1, 1], [n + 1, 1], [n + 1, n + 1], [1, n + 1]], np.float32)
-        - 0.5
-    )
+    corners = SAMPLES * (1 + n * UNIT_SQUARE) - 0.5
     warp = cv2.getPerspectiveTransform(corners, seen.quad_px.astype(np.float32))
     side, flags = SAMPLES * (n + 2), cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     flat = cv2.warpPerspective(

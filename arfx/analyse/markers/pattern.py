@@ -25,6 +25,7 @@ from arfx.analyse.markers.detect import Detection, sides
 from arfx.analyse.markers.texture import even_contrast, follow
 from arfx.core.camera import FISHEYE, Camera
 from arfx.core.colour import SRGB
+from arfx.core.marker_codes import UNIT_SQUARE
 from arfx.core.numerics import divide
 from arfx.errors import ConfigError, InputError
 
@@ -51,9 +52,6 @@ _REACH = 3  # further halvings of the images for a homography that is only about
 # levels coarser; factor on the deviation there: neighbouring corners err alike under blur
 _BLURRED, _SHARED = 2, 2.0
 _RETURN_PX, _AGREE_PX = 0.7, 2.0  # there and back; and to a homography at first
-_CORNERS = np.array(
-    [[0.0, 0], [1, 0], [1, 1], [0, 1]]
-)  # order of MarkerSpec.corners_m
 _SCALES = (0.7, 0.35, 0.18)  # of the picture whose features are matched
 # degrees: prints are square, or logos of up to six-fold symmetry; 270 is 90 seen from the other
 _TURNS = (180, 120, 90, 72)
@@ -136,7 +134,7 @@ class PatternPicture:
         By the coarsest level that is hardly coarser than the print in the frame; where the
         print is blurred, by one of half its size."""
         for about in abouts:
-            side = 0.9 * sides(_pixels(camera, about, _CORNERS)).max()
+            side = 0.9 * sides(_pixels(camera, about, UNIT_SQUARE)).max()
             finest = sum(max(level.even.shape) >= side for level in self.levels)
             levels = self.levels[max(finest - 1, 0) :: _BLURRED]
             for level, factor in zip(levels, (1.0, _SHARED), strict=False):
@@ -158,7 +156,7 @@ def check_turned(name: str, luma: ndarray) -> None:
     finest = picture.levels[0]
     h, w = finest.even.shape
     luma, camera = _resized(luma, max(w, h)), Camera.guess(w, h)
-    ideal_from_unit = homography_of(camera.normalised(_CORNERS * [w, h] - 0.5))
+    ideal_from_unit = homography_of(camera.normalised(UNIT_SQUARE * [w, h] - 0.5))
     for degrees in _TURNS:
         m = cv2.getRotationMatrix2D(((w - 1) / 2, (h - 1) / 2), degrees, 1)
         turned = cv2.warpAffine(luma, m, (w, h), borderMode=cv2.BORDER_REPLICATE)
@@ -186,11 +184,8 @@ def frame_features(luma: ndarray, most_px: float) -> Features:
     """SIFT features of a frame, reduced to about `most_px` pixels where it has more."""
     h, w = luma.shape
     px = max(float(np.sqrt(h * w / most_px)), 1.0)
-    size = max(round(w / px), 1), max(round(h / px), 1)
     finder = cv2.SIFT.create(FRAME_FEATURES, contrastThreshold=_FAINT)
-    units, descriptors = _found(
-        finder, cv2.resize(luma, size, interpolation=cv2.INTER_AREA)
-    )
+    units, descriptors = _found(finder, _resized(luma, max(w, h) / px))
     return Features(units * [w, h] - 0.5, descriptors, px)
 
 
@@ -234,9 +229,7 @@ def plausible(quad: ndarray) -> bool:
 
 def homography_of(quad: ndarray) -> ndarray:
     """(3, 3) from the unit square to a quad (4, 2)."""
-    return cv2.getPerspectiveTransform(
-        _CORNERS.astype(np.float32), quad.astype(np.float32)
-    )
+    return cv2.getPerspectiveTransform(UNIT_SQUARE, quad.astype(np.float32))
 
 
 def coded_luma(linear: ndarray, ink: float, paper: float) -> ndarray:
@@ -267,14 +260,14 @@ def _level(image: ndarray) -> Level:
 
 
 def _mapped(h: ndarray, xy: ndarray) -> ndarray:
-    """Points (n, 2) under homographies (..., 3, 3); NaN on and beyond a horizon."""
-    p = np.concatenate([xy, np.ones((len(xy), 1))], 1) @ np.swapaxes(h, -1, -2)
-    return np.where(p[..., 2:] > 1e-9, divide(p[..., :2], p[..., 2:]), np.nan)
+    """Points (n, 2) under a homography; NaN on and beyond a horizon."""
+    p = np.concatenate([xy, np.ones((len(xy), 1))], 1) @ h.T
+    return np.where(p[:, 2:] > 1e-9, divide(p[:, :2], p[:, 2:]), np.nan)
 
 
 def _pixels(camera: Camera, ideal_from_unit: ndarray, unit: ndarray) -> ndarray:
     ideal = _mapped(ideal_from_unit, unit)
-    return camera.project(np.concatenate([ideal, np.ones_like(ideal[..., :1])], -1))
+    return camera.project(np.concatenate([ideal, np.ones((len(unit), 1))], 1))
 
 
 class _Followed(NamedTuple):
@@ -306,7 +299,7 @@ def _followed(
     for reach in (_REACH, 0):
         cut = ideal_from_unit @ level.unit_from_level
         quad, at = (
-            _pixels(camera, ideal_from_unit, _CORNERS),
+            _pixels(camera, ideal_from_unit, UNIT_SQUARE),
             _pixels(camera, cut, level.points),
         )
         there = (at > 2).all(1) & (at < np.subtract(luma.shape[::-1], 3)).all(1)
@@ -358,7 +351,7 @@ def _aligned(
         return (there - found.moved)[found.agree].ravel()
 
     def corners_by(change: ndarray) -> ndarray:
-        return _pixels(camera, changed(change), _CORNERS).ravel()
+        return _pixels(camera, changed(change), UNIT_SQUARE).ravel()
 
     first = missed_by(np.zeros(8))
     if not np.isfinite(first).all():
