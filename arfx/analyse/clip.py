@@ -14,7 +14,7 @@ from numpy import ndarray
 from arfx.analyse.depth.plane_pose import plane_poses, with_real_planes
 from arfx.analyse.depth.scale import depth_checks, with_depth
 from arfx.analyse.job import PLANE, Analysis, AnalysisJob
-from arfx.analyse.lens import SideBlurs, with_lens
+from arfx.analyse.lens import with_lens
 from arfx.analyse.light.frames import Reading, with_light
 from arfx.analyse.light.observe import (
     BackgroundChange,
@@ -69,7 +69,7 @@ def analyse(
     if "flow" in wanted:
         clip = moved(clip, rows, job)
     if "lens" in wanted and not on_plane:
-        clip = with_lens(clip, rows[SideBlurs], job.markers)
+        clip = with_lens(clip, rows[Sighting], job.markers)
     if job.scene is not None and "object" in wanted:
         clip = clip.adding(with_model(clip.facts, job.scene(clip)))
     if job.depth is not None and {"depth", "planes"} & {*wanted}:
@@ -102,7 +102,7 @@ def marker_poses(clip: Analysis, rows: ClipRows, job: AnalysisJob) -> Analysis:
     found = found.adding(
         notice=notice if twice else None,
         edge_transfer=transfer,
-        pattern_misfit_px=pattern_misfits(seen, job.prints),
+        pattern_misfit_px=pattern_misfits(prints, job.prints),
     )
     return replace(found, frame_span=clip.frame_span)
 

@@ -10,12 +10,11 @@ from collections.abc import Collection
 from typing import Any
 
 from arfx.analyse.job import PLANE, AnalysisFrame, AnalysisJob
-from arfx.analyse.lens import SideReader
 from arfx.analyse.light.observe import LightReader, SnapshotTaker
 from arfx.analyse.markers.search import MarkerSearch
 from arfx.analyse.motion.flow import BackgroundMotion
 from arfx.analyse.pose.at_rest import BackgroundFlow, RestCheck
-from arfx.analyse.tables import T, Tables, rows_of, tables_of
+from arfx.analyse.tables import T, Tables, rows_of
 
 
 class Observation:
@@ -27,7 +26,7 @@ class Observation:
 
     def __init__(self, job: AnalysisJob, wanted: Collection[str] = ()) -> None:
         markers, lit = job.anchor != PLANE, {"light", "environment"} & {*wanted}
-        self._search = MarkerSearch(job) if markers else None
+        self._search = MarkerSearch(job, "lens" in wanted) if markers else None
         self._others: list[Any] = []
         add = self._others.append
         if not markers and job.poses is None:
@@ -40,8 +39,6 @@ class Observation:
             add(SnapshotTaker(job.frames))
         if "flow" in wanted:
             add(BackgroundMotion())
-        if markers and "lens" in wanted:
-            add(SideReader())
 
     def step(self, frame: AnalysisFrame) -> None:
         shown = [] if self._search is None else self._search.step(frame)
@@ -52,10 +49,6 @@ class Observation:
         """Of all frames so far, of all kinds."""
         search = [] if self._search is None else self._search.rows
         return [*search, *(row for o in self._others for row in o.rows)]
-
-    def tables(self) -> Tables:
-        """The rows by columns, as files keep them."""
-        return tables_of(self.rows())
 
 
 class ClipRows:

@@ -19,8 +19,7 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from arfx.analyse.lens import side_blurs
-from arfx.analyse.markers.corners import linear_table, refine_corners
+from arfx.analyse.markers.corners import linear_table, refine_corners, side_blurs
 from arfx.analyse.markers.detect import SCANNED_FAMILIES, Candidate, MarkerDetector
 from arfx.analyse.markers.legible import HOLDS_FRAMES, legible
 from arfx.analyse.pose.planar import both_poses

@@ -17,7 +17,6 @@ import pytest
 
 from arfx.analyse.clip import marker_poses
 from arfx.analyse.job import PLANE, Analysis, AnalysisFrame, AnalysisJob
-from arfx.analyse.lens import SideBlurs
 from arfx.analyse.light.frames import Reading
 from arfx.analyse.light.observe import BackgroundChange
 from arfx.analyse.light.seen import Snapshot
@@ -131,7 +130,7 @@ CUTS = (
 )  # before anything is seen; a single frame; a cut at a border
 KINDS = {
     *(FrameRow, Sighting, OtherPrint, FlowSample, RestPicture, RestMotion),
-    *(Reading, BackgroundChange, Snapshot, MotionStep, KeyPicture, SideBlurs),
+    *(Reading, BackgroundChange, Snapshot, MotionStep, KeyPicture),
 }
 WANTED = {"light", "environment", "flow", "lens"}
 Made = dict[str, Observed]

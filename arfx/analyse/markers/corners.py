@@ -46,6 +46,12 @@ _BLUR_CELLS, _NEXT_CELL = (
 )
 _EXACT = (3, 40, 1e-12)  # of an undistorted point: most rounds, and their last step
 _ROWS = np.array([[1, 0], [0, 1], [1, 1], [1, -1], [2, 1], [2, -1], [1, 2], [1, -2]])
+# Of the blur of a side: what is looked at (the rim and the margin are a cell wide), to each
+# side of an edge by standard deviations; a disc beyond a share of that is measured too large.
+_LEAST_HALF_PX, _HALF_CELLS, _MOST_HALF_PX = 2.0, 0.7, 24.0
+_WINDOWS, _LARGEST = 4.0, 0.25
+_CLEAR = 20.0  # light (of 255) across an edge whose blur is measured
+_ROUNDS = 2
 FAINT = 0.25  # light (of 255) across an edge below which it is taken for none
 MOST_PX = (
     1e5  # of a corner from the picture's: those that are farther off make no sense
@@ -150,6 +156,25 @@ def shared_px(corners_px: ndarray, blur_px: ndarray, cells: ndarray) -> ndarray:
         np.sqrt((1.3**2 * step**2 * shared + near**2).mean(1)),
         0.0,
     )
+
+
+def side_blurs(
+    luma: ndarray, corners_px: ndarray, cells: int, table: ndarray
+) -> ndarray:
+    """(4,) standard deviation, px, of the blur across each side (corner k to k + 1); NaN
+    where it cannot be measured.
+
+    luma : (h, w) uint8;  corners_px : (4, 2) clockwise in the picture;  table : (256,)
+    coded luma to linear light, 0..255
+    """
+    half = _HALF_CELLS * cell_px(corners_px[None], np.array([cells]))
+    half = far = np.clip(half, 1e-3, _MOST_HALF_PX)
+    straight = np.zeros((1, 4, SAMPLES, 2))
+    for _ in range(_ROUNDS):
+        edges = find_edges(luma, table, corners_px[None], straight, (far, far))
+        far = np.clip(_WINDOWS * edges.blurs, _LEAST_HALF_PX, half)
+    clear = (edges.blurs <= _LARGEST * half) & (edges.gain > _CLEAR)
+    return np.where(clear & (half >= _LEAST_HALF_PX), edges.blurs, np.nan)[0]
 
 
 def cell_px(quad: ndarray, cells: ndarray) -> ndarray:

@@ -36,6 +36,7 @@ SCANNED_FAMILIES = (
 )
 
 _REDUCED_WINDOW_PX = 9
+UNKNOWN = np.full(4, np.nan)
 
 
 class Candidate(NamedTuple):
@@ -64,6 +65,7 @@ class Detection(NamedTuple):
     blur_px : nan where unknown;  misplaced_px : by how much the cells between contradict
     the corners, root mean square
     misfit_px : of a pictured print, how far its texture lies from that of a flat print
+    side_blurs_px : (4,) of `side_blurs`, NaN where that is not measured
     """
 
     key: str
@@ -73,6 +75,7 @@ class Detection(NamedTuple):
     inverted: bool
     misplaced_px: float = 0.0
     misfit_px: float = 0.0
+    side_blurs_px: ndarray = UNKNOWN
 
     @property
     def quad_px(self) -> ndarray:

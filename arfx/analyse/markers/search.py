@@ -5,7 +5,7 @@ there.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import compress
 from typing import Any, NamedTuple
 
@@ -14,8 +14,14 @@ from numpy import ndarray
 
 from arfx.analyse.job import AnalysisFrame, AnalysisJob
 from arfx.analyse.markers.coded import CodedPrints
-from arfx.analyse.markers.corners import CODE, LIGHT, linear_table, refine_corners
-from arfx.analyse.markers.detect import Candidate, Detection, Record
+from arfx.analyse.markers.corners import (
+    CODE,
+    LIGHT,
+    linear_table,
+    refine_corners,
+    side_blurs,
+)
+from arfx.analyse.markers.detect import UNKNOWN, Candidate, Detection, Record
 from arfx.analyse.markers.inner_edges import misplaced_px
 from arfx.analyse.markers.legible import SCANS, scan
 from arfx.analyse.markers.pattern import PatternPicture, coded_luma
@@ -65,12 +71,12 @@ class OtherPrint(NamedTuple):
 
 
 class MarkerSearch:
-    """The prints in every frame of a part of the clip."""
+    """The prints in every frame of a part of the clip. blurs : of their sides, too"""
 
-    def __init__(self, job: AnalysisJob) -> None:
+    def __init__(self, job: AnalysisJob, blurs: bool = False) -> None:
         self.rows: list[Any] = []
         self._seen = False
-        self._camera = job.camera
+        self._camera, self._blurs = job.camera, blurs
         coded = [m.key for m in job.markers if isinstance(m, MarkerSpec)]
         ink, paper = job.light.ink, job.light.paper
         pictures = [
@@ -87,7 +93,7 @@ class MarkerSearch:
         camera = self._camera.scaled_to(width, height)
         coded, twice = self._coded.search(frame)
         pictured, _ = self._pictured.search(frame)
-        shown = coded_sightings(index, luma, coded, camera)
+        shown = coded_sightings(index, luma, coded, camera, self._blurs)
         shown += [Sighting(index, ANY, np.nan, s) for s in pictured]
         self._seen |= bool(shown)
         instead = [] if self._seen or index not in SCANS else scan(luma)
@@ -105,12 +111,16 @@ def detections(shown: Sequence[Sighting]) -> list[Detection]:
 
 
 def coded_sightings(
-    frame: int, luma: ndarray, found: Sequence[Candidate], camera: Camera
+    frame: int,
+    luma: ndarray,
+    found: Sequence[Candidate],
+    camera: Camera,
+    blurs: bool = False,
 ) -> list[Sighting]:
     """Prints that were found, refined in light, and in code where that may be better."""
-    in_light = refined(frame, luma, found, LIGHT, camera)
+    in_light = refined(frame, luma, found, LIGHT, camera, blurs)
     doubtful = [abs(s.skew) > SKEWED for s in in_light]
-    in_code = refined(frame, luma, [*compress(found, doubtful)], CODE, camera)
+    in_code = refined(frame, luma, [*compress(found, doubtful)], CODE, camera, blurs)
     shown = [
         s if doubt else s._replace(transfer=ANY)
         for s, doubt in zip(in_light, doubtful, strict=True)
@@ -124,6 +134,7 @@ def refined(
     found: Sequence[Candidate],
     transfer: str,
     camera: Camera,
+    blurs: bool = False,
 ) -> list[Sighting]:
     """transfer : LIGHT or CODE"""
     if not found:
@@ -137,7 +148,9 @@ def refined(
         found, r.corners_px, *numbers, strict=True
     ):
         off = misplaced_px(luma, quad, c.family, c.id, inverted, table)
-        print_ = Detection(c.key, quad, sigma, blur, inverted, off)
+        n = cells_per_side(c.family)
+        sides = side_blurs(luma, quad, n, table) if blurs else UNKNOWN
+        print_ = Detection(c.key, quad, sigma, blur, inverted, off, 0.0, sides)
         out.append(Sighting(frame, transfer, skew, print_))
     return out
 
@@ -194,14 +207,11 @@ def nothing_seen(
 
 
 def pattern_misfits(
-    records: Iterable[Record], keys: Container[str]
+    prints: Sequence[Sighting], keys: Iterable[str]
 ) -> dict[str, float]:
     """Median misfit, px, of every print among `keys` that was seen."""
-    every = dict[str, list[float]]()
-    for s in (s for r in records for s in r.detections):
-        if s.key in keys:
-            every.setdefault(s.key, []).append(s.misfit_px)
-    return {key: float(np.median(values)) for key, values in every.items()}
+    every = {k: [s.print.misfit_px for s in prints if s.print.key == k] for k in keys}
+    return {key: float(np.median(values)) for key, values in every.items() if values}
 
 
 def pattern_checks(summary: Mapping[str, Any]) -> Iterator[Check]:

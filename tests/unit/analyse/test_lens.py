@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from arfx.analyse.job import Analysis, AnalysisFrame, AnalysisJob
-from arfx.analyse.lens import lens_from_blur, side_blurs
+from arfx.analyse.lens import lens_from_blur
+from arfx.analyse.markers.corners import side_blurs
 from arfx.core.colour import SRGB
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from tests.clips import MARKER, clip_camera, picture
