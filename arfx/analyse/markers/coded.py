@@ -34,7 +34,6 @@ class CodedPrints:
         self.keys: Sequence[str] = tuple(keys)
         families = dict.fromkeys(k.rpartition(":")[0] for k in keys)
         self.detector = MarkerDetector(families, inverted=detect_inverted)
-        self._in_view = False  # in the frame before
         self._empty = -1  # number of a frame whose reduced image shows none
 
     def follow(
@@ -42,24 +41,14 @@ class CodedPrints:
     ) -> list[Candidate]:
         """Nothing of a small frame in which a whole search could find more."""
         tracks = list(last.values())
-        self._in_view = any(t.missing == 0 for t in tracks)
         sure = all(t.missing == 0 and sides(t.quad).min() >= SURE_PX for t in tracks)
         if frame.luma.size <= REDUCED_PX and not (
             sure and len(tracks) == len(self.keys)
         ):
             return []
-        luma = frame.luma
         rects = [_rect(t, frame.time_s) for t in tracks]
-        seen = list[Candidate]()
-        for part in _merged(rects, luma):
-            near = [
-                t
-                for t, r in zip(tracks, rects, strict=True)
-                if not r.clip(part).empty
-            ]
-            least_px = SHRINK * min(sides(t.quad).min() for t in near)
-            seen += self.detector.search(luma, part, min_side_px=least_px)
-        return seen
+        smallest = min((sides(t.quad).min() for t in tracks), default=0.0)
+        return self._in_parts(frame.luma, rects, SHRINK * smallest)
 
     def find(
         self, frame: AnalysisFrame, missing: Sequence[str], whole: bool
@@ -69,17 +58,21 @@ class CodedPrints:
             return self.detector.search(luma)
         if frame.index == self._empty:
             return []
-        none_in_view = not self._in_view and len(missing) == len(self.keys)
-        ahead = frame.following if none_in_view else None
+        ahead = frame.following if len(missing) == len(self.keys) else None
         if ahead is not None and not self._on_reduced(ahead(), missing):
             self._empty = frame.index + 1
             return []
         hits = self._on_reduced(luma, missing)
         rects = [Rect.around(c.quad_px, max(24.0, 0.5 * c.side_px)) for c in hits]
+        return self._in_parts(luma, rects)
+
+    def _in_parts(
+        self, luma: ndarray, rects: Iterable[Rect], least_px: float = 0.0
+    ) -> list[Candidate]:
         return [
             c
-            for part in _merged(rects, luma)
-            for c in self.detector.search(luma, part)
+            for part in _merged(rects)
+            for c in self.detector.search(luma, part, min_side_px=least_px)
         ]
 
     def _on_reduced(self, luma: ndarray, keys: Sequence[str]) -> list[Candidate]:
@@ -96,14 +89,10 @@ def _rect(track: Track, time_s: float) -> Rect:
     return Rect.around(track.quad + shift, spread + 0.5 * float(np.abs(shift).max()))
 
 
-def _merged(rects: Iterable[Rect], luma: ndarray) -> list[Rect]:
-    """The parts of rectangles within the picture, overlapping ones united, so that no marker
-    is reported twice."""
-    whole = Rect.of(*luma.shape[::-1])
+def _merged(rects: Iterable[Rect]) -> list[Rect]:
+    """Overlapping ones united, so that no marker is reported twice."""
     out: list[Rect] = []
-    for r in (r.clip(whole) for r in rects):
-        if r.empty:
-            continue
+    for r in rects:
         while hit := next((o for o in out if not o.clip(r).empty), None):
             out.remove(hit)
             r = r.union(hit)

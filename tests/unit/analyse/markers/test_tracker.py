@@ -68,9 +68,8 @@ class Counted:
             luma: np.ndarray, rect: Rect | None = None, factor: int = 1, **more: float
         ) -> list[Candidate]:
             self.whole |= rect is None and factor == 1
-            self.searched_px += (
-                luma.size if rect is None else rect.area
-            ) // factor**2
+            picture = Rect.of(*luma.shape[::-1])
+            self.searched_px += picture.clip(rect or picture).area // factor**2
             return search(luma, rect, factor, **more)
 
         prints.detector.search = counted  # type: ignore[method-assign]
