@@ -28,7 +28,6 @@ from arfx.analyse.markers.pattern import PatternPicture, coded_luma
 from arfx.analyse.markers.pictured import PicturedPrints
 from arfx.analyse.markers.tracker import Tracker
 from arfx.analyse.pose.shots import thumbnail
-from arfx.core.camera import Camera
 from arfx.core.marker import Marker, MarkerSpec
 from arfx.core.marker_codes import cells_per_side
 from arfx.core.stage import Check
@@ -90,10 +89,9 @@ class MarkerSearch:
         """What is seen in the next frame."""
         index, luma = frame.index, frame.luma
         height, width = luma.shape
-        camera = self._camera.scaled_to(width, height)
         coded, twice = self._coded.search(frame)
         pictured, _ = self._pictured.search(frame)
-        shown = coded_sightings(index, luma, coded, camera, self._blurs)
+        shown = self.refined(frame, coded)
         shown += [Sighting(index, ANY, np.nan, s) for s in pictured]
         self._seen |= bool(shown)
         instead = [] if self._seen or index not in SCANS else scan(luma)
@@ -104,55 +102,45 @@ class MarkerSearch:
         ]
         return shown
 
+    def refined(
+        self, frame: AnalysisFrame, found: Sequence[Candidate]
+    ) -> list[Sighting]:
+        """Prints that were found, refined in light, and in code where that may be better."""
+        in_light = self.refined_in(LIGHT, frame, found)
+        doubtful = [abs(s.skew) > SKEWED for s in in_light]
+        in_code = self.refined_in(CODE, frame, [*compress(found, doubtful)])
+        shown = [
+            s if doubt else s._replace(transfer=ANY)
+            for s, doubt in zip(in_light, doubtful, strict=True)
+        ]
+        return shown + in_code
+
+    def refined_in(
+        self, transfer: str, frame: AnalysisFrame, found: Sequence[Candidate]
+    ) -> list[Sighting]:
+        """transfer : LIGHT or CODE"""
+        if not found:
+            return []
+        luma, table = frame.luma, linear_table(transfer)
+        quads = np.stack([c.quad_px for c in found])
+        cells = [cells_per_side(c.family) for c in found]
+        camera = self._camera.scaled_to(*luma.shape[::-1])
+        r = refine_corners(luma, quads, np.array(cells), table, camera)
+        numbers = (a.tolist() for a in (r.sigma_px, r.blur_px, r.inverted, r.skew))
+        out = []
+        for c, n, quad, sigma, blur, inverted, skew in zip(
+            found, cells, r.corners_px, *numbers, strict=True
+        ):
+            off = misplaced_px(luma, quad, c.family, c.id, inverted, table)
+            sides = side_blurs(luma, quad, n, table) if self._blurs else UNKNOWN
+            print_ = Detection(c.key, quad, sigma, blur, inverted, off, 0.0, sides)
+            out.append(Sighting(frame.index, transfer, skew, print_))
+        return out
+
 
 def detections(shown: Sequence[Sighting]) -> list[Detection]:
     """Of one frame, in light."""
     return [s.print for s in shown if s.transfer != CODE]
-
-
-def coded_sightings(
-    frame: int,
-    luma: ndarray,
-    found: Sequence[Candidate],
-    camera: Camera,
-    blurs: bool = False,
-) -> list[Sighting]:
-    """Prints that were found, refined in light, and in code where that may be better."""
-    in_light = refined(frame, luma, found, LIGHT, camera, blurs)
-    doubtful = [abs(s.skew) > SKEWED for s in in_light]
-    in_code = refined(frame, luma, [*compress(found, doubtful)], CODE, camera, blurs)
-    shown = [
-        s if doubt else s._replace(transfer=ANY)
-        for s, doubt in zip(in_light, doubtful, strict=True)
-    ]
-    return shown + in_code
-
-
-def refined(
-    frame: int,
-    luma: ndarray,
-    found: Sequence[Candidate],
-    transfer: str,
-    camera: Camera,
-    blurs: bool = False,
-) -> list[Sighting]:
-    """transfer : LIGHT or CODE"""
-    if not found:
-        return []
-    quads, table = np.stack([c.quad_px for c in found]), linear_table(transfer)
-    cells = np.array([cells_per_side(c.family) for c in found])
-    r = refine_corners(luma, quads, cells, table, camera)
-    numbers = (a.tolist() for a in (r.sigma_px, r.blur_px, r.inverted, r.skew))
-    out = []
-    for c, quad, sigma, blur, inverted, skew in zip(
-        found, r.corners_px, *numbers, strict=True
-    ):
-        off = misplaced_px(luma, quad, c.family, c.id, inverted, table)
-        n = cells_per_side(c.family)
-        sides = side_blurs(luma, quad, n, table) if blurs else UNKNOWN
-        print_ = Detection(c.key, quad, sigma, blur, inverted, off, 0.0, sides)
-        out.append(Sighting(frame, transfer, skew, print_))
-    return out
 
 
 def choose_transfer(prints: Sequence[Sighting]) -> str:

@@ -6,15 +6,15 @@ import cv2
 import numpy as np
 import pytest
 
+from arfx.analyse.job import AnalysisFrame, AnalysisJob
 from arfx.analyse.markers.corners import CODE, LIGHT, linear_table, refine_corners
 from arfx.analyse.markers.detect import Candidate, MarkerDetector
 from arfx.analyse.markers.search import (
     ANY,
     SIGHTINGS,
+    MarkerSearch,
     Sighting,
     choose_transfer,
-    coded_sightings,
-    refined,
 )
 from arfx.core.camera import Camera
 from arfx.core.colour import Transfer
@@ -269,7 +269,7 @@ def test_marker_at_the_frame_border_stays_finite() -> None:
 @pytest.mark.parametrize("linear, expected", [(True, LIGHT), (False, CODE)])
 def test_edge_domain_is_found_from_the_edges(linear: bool, expected: str) -> None:
     m = MarkerSpec("36h11", 1, 0.1)
-    detector = MarkerDetector(["36h11"])
+    detector, search = MarkerDetector(["36h11"]), MarkerSearch(AnalysisJob((m,), CAM))
     seen: list[Sighting] = []
     for k, pose in enumerate(poses(34, m.size_m, SIGHTINGS + 4)):
         image = picture(
@@ -277,7 +277,7 @@ def test_edge_domain_is_found_from_the_edges(linear: bool, expected: str) -> Non
         )
         found = [c for c in detector.search(image) if c.key == m.key]
         for transfer in (LIGHT, CODE):
-            seen += refined(k, image, found, transfer, CAM)
+            seen += search.refined_in(transfer, AnalysisFrame(k, k, image), found)
     assert choose_transfer(seen) == expected
     few = seen[: 2 * SIGHTINGS - 2]
     assert choose_transfer(few) == LIGHT, "too few to tell by"
@@ -288,6 +288,7 @@ def test_edges_too_poor_to_tell_are_taken_for_light() -> None:
         "36h11", 1, np.array([[100.0, 60], [160, 60], [160, 120], [100, 120]])
     )
     flat = np.full((240, 320), 90, np.uint8)
-    (seen,) = coded_sightings(0, flat, [poor], CAM)
+    search = MarkerSearch(AnalysisJob((MarkerSpec("36h11", 1, 0.1),), CAM))
+    (seen,) = search.refined(AnalysisFrame(0, 0.0, flat), [poor])
     assert np.isnan(seen.skew) and seen.transfer == ANY
     assert choose_transfer([seen] * (2 * SIGHTINGS)) == LIGHT
