@@ -32,7 +32,7 @@ class CodedPrints:
 
     def __init__(self, keys: Sequence[str], detect_inverted: bool = True) -> None:
         self.keys: Sequence[str] = tuple(keys)
-        families = dict.fromkeys(k.rpartition(":")[0] for k in keys)
+        families = [*dict.fromkeys(k.rpartition(":")[0] for k in keys)]
         self.detector = MarkerDetector(families, inverted=detect_inverted)
         self._empty = -1  # number of a frame whose reduced image shows none
 

@@ -201,7 +201,6 @@ def _bend(quad: ndarray, camera: Camera | None) -> ndarray:
     """(n, 4, SAMPLES, 2) px by which the image of a straight side leaves its chord."""
     if camera is None or not camera.distorted:
         return np.zeros((len(quad), 4, SAMPLES, 2))
-    focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
     fisheye = camera.model == FISHEYE
     undistort = cv2.fisheye.undistortPoints if fisheye else cv2.undistortPoints
     ideal = undistort(
@@ -213,7 +212,8 @@ def _bend(quad: ndarray, camera: Camera | None) -> ndarray:
     for _ in range(
         2
     ):  # where along the ideal side: the lens moves points along it, too
-        off = camera.distort(ideal[:, :, None] + share * side) * focal + centre - foot
+        there = ideal[:, :, None] + share * side
+        off = camera.project(np.insert(there, 2, 1.0, -1)) - foot
         along = divide((off * chord).sum(-1), (chord * chord).sum(-1))[..., None]
         share = share - along
     off -= along * chord

@@ -28,7 +28,7 @@ class PicturedPrints:
     def follow(
         self, frame: AnalysisFrame, last: Mapping[str, Track]
     ) -> list[Detection]:
-        camera = self._camera.scaled_to(*frame.luma.shape[::-1])
+        self._camera = camera = self._camera.scaled_to(*frame.luma.shape[::-1])
         seen = list[Detection]()
         for picture in self._pictures:
             if track := last.get(picture.name):
@@ -40,7 +40,7 @@ class PicturedPrints:
     def find(
         self, frame: AnalysisFrame, missing: Sequence[str], whole: bool
     ) -> list[Detection]:
-        camera = self._camera.scaled_to(*frame.luma.shape[::-1])
+        camera = self._camera
         features = frame_features(frame.luma, WHOLE_PX if whole else REDUCED_PX)
         seen = list[Detection]()
         for picture in self._pictures:

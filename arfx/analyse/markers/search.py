@@ -124,8 +124,8 @@ class MarkerSearch:
         luma, table = frame.luma, linear_table(transfer)
         quads = np.stack([c.quad_px for c in found])
         cells = [cells_per_side(c.family) for c in found]
-        camera = self._camera.scaled_to(*luma.shape[::-1])
-        r = refine_corners(luma, quads, np.array(cells), table, camera)
+        self._camera = self._camera.scaled_to(*luma.shape[::-1])
+        r = refine_corners(luma, quads, np.array(cells), table, self._camera)
         numbers = (a.tolist() for a in (r.sigma_px, r.blur_px, r.inverted, r.skew))
         out = []
         for c, n, quad, sigma, blur, inverted, skew in zip(
