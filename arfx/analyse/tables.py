@@ -26,23 +26,22 @@ _SHAPES = "/shapes"  # texts, of a column of arrays: it is what they hold, flat
 _DIGEST_BYTES = 16
 
 
-def by_columns(rows: Sequence[Any], kind: type) -> Columns:
-    """The rows, dataclasses or named tuples of `kind`, by field.
+def by_columns(rows: Sequence[Any], kind: type, outer: str = "") -> Columns:
+    """The rows, dataclasses or named tuples of `kind`, by field. outer : before its name
 
     Fields are numbers, texts, arrays of any shape, None in place of one, or such rows."""
     out: Columns = {}
     for name, hint in get_type_hints(kind).items():
-        values = [getattr(row, name) for row in rows]
+        column, values = outer + name, [getattr(row, name) for row in rows]
         if hint in _PLAIN:
-            out[name] = np.array(values)
+            out[column] = np.array(values)
         elif hint in _ARRAYS:
             known = [v.ravel() for v in values if v is not None]
-            out[name] = np.concatenate(known or [np.zeros(0)])
+            out[column] = np.concatenate(known or [np.zeros(0)])
             shapes = [None if v is None else v.shape for v in values]
-            out[name + _SHAPES] = np.array([*map(str, shapes)])
+            out[column + _SHAPES] = np.array([*map(str, shapes)])
         else:
-            inner = by_columns(values, hint)
-            out |= {f"{name}.{k}": column for k, column in inner.items()}
+            out |= by_columns(values, hint, f"{column}.")
     return out
 
 
@@ -62,20 +61,27 @@ def rows_of(tables: Mapping[str, Columns], kind: type[T], shift: int = 0) -> lis
     return _rows({**columns, frame: columns[frame] + shift}, kind)
 
 
-def _rows(columns: Mapping[str, ndarray], kind: type) -> list[Any]:
+def _rows(columns: Mapping[str, ndarray], kind: type, outer: str = "") -> list[Any]:
     fields: list[list[Any]] = []
     for name, hint in get_type_hints(kind).items():
+        column = outer + name
         if hint in _PLAIN:
-            fields.append(columns[name].tolist())
+            fields.append(columns[column].tolist())
         elif hint in _ARRAYS:
-            fields.append(_arrays(columns[name], columns[name + _SHAPES]))
+            fields.append(_arrays(columns[column], columns[column + _SHAPES]))
         else:
-            outer = f"{name}."
-            inner = {
-                k.removeprefix(outer): v for k, v in columns.items() if outer in k
-            }
-            fields.append(_rows(inner, hint))
+            fields.append(_rows(columns, hint, f"{column}."))
     return [kind(*row) for row in zip(*fields, strict=True)]
+
+
+def _arrays(flat: ndarray, texts: ndarray) -> list[ndarray | None]:
+    shapes = [*map(cache(literal_eval), texts.tolist())]
+    ends = np.cumsum([0 if shape is None else math.prod(shape) for shape in shapes])
+    parts = np.split(flat, ends)  # and what is behind the last one: nothing
+    return [
+        None if shape is None else part.reshape(shape)
+        for part, shape in zip(parts, shapes, strict=False)
+    ]
 
 
 def to_bytes(tables: Mapping[str, Columns]) -> bytes:
@@ -105,14 +111,3 @@ def from_bytes(data: bytes) -> Tables:
 
 def _digest(body: bytes) -> bytes:
     return hashlib.blake2b(body, digest_size=_DIGEST_BYTES).digest()
-
-
-def _arrays(flat: ndarray, shapes: ndarray) -> list[ndarray | None]:
-    out: list[ndarray | None] = []
-    shape_of = cache(literal_eval)
-    for text in shapes.tolist():
-        shape = shape_of(text)
-        count = 0 if shape is None else math.prod(shape)
-        out.append(None if shape is None else flat[:count].reshape(shape))
-        flat = flat[count:]
-    return out
