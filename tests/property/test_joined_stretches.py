@@ -20,7 +20,7 @@ from arfx.analyse.job import PLANE, Analysis, AnalysisFrame, AnalysisJob
 from arfx.analyse.light.frames import Reading
 from arfx.analyse.light.observe import BackgroundChange
 from arfx.analyse.light.seen import Snapshot
-from arfx.analyse.markers import coded, pictured, tracker
+from arfx.analyse.markers import tracker
 from arfx.analyse.markers.search import (
     FrameRow,
     OtherPrint,
@@ -142,8 +142,7 @@ def quick_search() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(tracker, "LOSS_SEARCH_FRAMES", 2)
         patch.setattr(tracker, "SEARCH_INTERVAL_S", 0.6)
-        for module in (tracker, coded, pictured):
-            patch.setattr(module, "REDUCED_PX", 50_000)
+        patch.setattr(tracker, "REDUCED_PX", 50_000)
         yield
 
 

@@ -13,7 +13,6 @@ import numpy as np
 from numpy import ndarray
 
 from arfx.analyse.job import AnalysisFrame, AnalysisJob
-from arfx.analyse.markers.coded import CodedPrints
 from arfx.analyse.markers.corners import (
     CODE,
     LIGHT,
@@ -25,8 +24,7 @@ from arfx.analyse.markers.detect import UNKNOWN, Candidate, Detection, Record
 from arfx.analyse.markers.inner_edges import misplaced_px
 from arfx.analyse.markers.legible import SCANS, scan
 from arfx.analyse.markers.pattern import PatternPicture, coded_luma
-from arfx.analyse.markers.pictured import PicturedPrints
-from arfx.analyse.markers.tracker import Tracker
+from arfx.analyse.markers.tracker import CodedPrints, PicturedPrints
 from arfx.analyse.pose.shots import thumbnail
 from arfx.core.marker import Marker, MarkerSpec
 from arfx.core.marker_codes import cells_per_side
@@ -82,8 +80,8 @@ class MarkerSearch:
             PatternPicture(key, coded_luma(picture, ink, paper))
             for key, picture in job.prints.items()
         ]
-        self._coded = Tracker(CodedPrints(coded, job.params.detect_inverted))
-        self._pictured = Tracker(PicturedPrints(pictures, job.camera))
+        self._coded = CodedPrints(coded, job.params.detect_inverted)
+        self._pictured = PicturedPrints(pictures, job.camera)
 
     def step(self, frame: AnalysisFrame) -> list[Sighting]:
         """What is seen in the next frame."""

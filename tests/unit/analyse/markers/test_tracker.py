@@ -9,9 +9,8 @@ import pytest
 from pydantic import ValidationError
 
 from arfx.analyse.job import AnalysisFrame, AnalysisJob
-from arfx.analyse.markers.coded import CodedPrints
 from arfx.analyse.markers.detect import Candidate, MarkerDetector
-from arfx.analyse.markers.tracker import LOSS_SEARCH_FRAMES, Tracker
+from arfx.analyse.markers.tracker import LOSS_SEARCH_FRAMES, CodedPrints
 from arfx.analyse.params import AnalyseParams
 from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec
@@ -60,9 +59,8 @@ class Counted:
     whole : all of it was searched"""
 
     def __init__(self, *keys: str) -> None:
-        prints = CodedPrints(keys)
-        self.tracker, self.searched_px, self._frames = Tracker(prints), 0, 0
-        search = prints.detector.search
+        self.tracker, self.searched_px, self._frames = CodedPrints(keys), 0, 0
+        search = self.tracker.detector.search
 
         def counted(
             luma: np.ndarray, rect: Rect | None = None, factor: int = 1, **more: float
@@ -72,7 +70,7 @@ class Counted:
             self.searched_px += picture.clip(rect or picture).area // factor**2
             return search(luma, rect, factor, **more)
 
-        prints.detector.search = counted  # type: ignore[method-assign]
+        self.tracker.detector.search = counted  # type: ignore[method-assign]
 
     def step(
         self, time_s: float, luma: np.ndarray, following: Any = None
