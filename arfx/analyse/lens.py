@@ -21,7 +21,7 @@ from numpy import ndarray
 
 from arfx.analyse.job import Analysis
 from arfx.analyse.markers.edges import FRACTIONS
-from arfx.analyse.markers.search import ANY, Sighting
+from arfx.analyse.markers.search import Sighting, refined_in
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.lens import LensFit
 from arfx.core.marker import Marker
@@ -46,7 +46,7 @@ def with_lens(
 ) -> Analysis:
     """The clip with `lens` in every frame, and the fit in summary["footage_lens"]."""
     transfer = clip.summary["edge_transfer"]
-    seen = [s for s in prints if s.transfer in (transfer, ANY)]
+    seen = refined_in(transfer, prints)
     fit = footage_lens(clip.facts, seen, markers, clip.world_from_marker)
     notice = (
         None

@@ -163,7 +163,8 @@ def _record(
     cells = np.array([cells_per_side(c.family) for c in seen])
     quads = np.reshape([c.quad_px for c in seen], (-1, 4, 2))
     refined = refine_corners(luma, quads, cells, linear_table()).corners_px
-    for c, quad in zip(seen, refined, strict=True):
+    blurred = side_blurs(luma, quads, cells, linear_table())
+    for c, quad, blurs in zip(seen, refined, blurred, strict=True):
         m = found.setdefault(c.key, Found(c.family, c.id))
         counts, sure = legible(luma, c)
         m.counted |= {index} if counts else set()
@@ -172,7 +173,6 @@ def _record(
         if len(m.quads[index]) > 1:
             continue
         m.sides_px.append(c.side_px)
-        blurs = side_blurs(luma, c.quad_px, cells_per_side(c.family), linear_table())
         if np.isfinite(blurs).any():
             m.blurs_px.append(float(np.nanmedian(blurs)))
         tilt = None if camera is None else tilt_deg(c.quad_px, camera)

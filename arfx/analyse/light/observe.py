@@ -17,7 +17,8 @@ from arfx.analyse.light.frames import Reading
 from arfx.analyse.light.hypotheses import REFUSED
 from arfx.analyse.light.seen import SNAPSHOT_PX, Snapshot
 from arfx.analyse.light.surroundings import EnvironmentSample, environment_sample
-from arfx.analyse.markers.search import Sighting, detections
+from arfx.analyse.markers.corners import LIGHT
+from arfx.analyse.markers.search import Sighting, refined_in
 from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec
 from arfx.core.rect import Rect
@@ -65,7 +66,7 @@ class LightReader:
             self._small = small_luma(frame.following())
             change = background_change(now, self._small)
             self.rows.append(BackgroundChange(frame.index + 1, change))
-        for s in detections(shown):
+        for s in (s.print for s in refined_in(LIGHT, shown)):
             box = Rect.around(s.corners_px, _AROUND_PX).clip(picture.rect)
             if box.empty:
                 continue

@@ -159,22 +159,18 @@ def shared_px(corners_px: ndarray, blur_px: ndarray, cells: ndarray) -> ndarray:
 
 
 def side_blurs(
-    luma: ndarray, corners_px: ndarray, cells: int, table: ndarray
+    luma: ndarray, corners_px: ndarray, cells: ndarray, table: ndarray
 ) -> ndarray:
-    """(4,) standard deviation, px, of the blur across each side (corner k to k + 1); NaN
-    where it cannot be measured.
-
-    luma : (h, w) uint8;  corners_px : (4, 2) clockwise in the picture;  table : (256,)
-    coded luma to linear light, 0..255
-    """
-    half = _HALF_CELLS * cell_px(corners_px[None], np.array([cells]))
+    """(n, 4) standard deviation, px, of the blur across each side (corner k to k + 1); NaN
+    where it cannot be measured. Arguments as of refine_corners, corners_px : (n, 4, 2)"""
+    half = _HALF_CELLS * cell_px(corners_px, cells)
     half = far = np.clip(half, 1e-3, _MOST_HALF_PX)
-    straight = np.zeros((1, 4, SAMPLES, 2))
+    straight = np.zeros((len(half), 4, SAMPLES, 2))
     for _ in range(_ROUNDS):
-        edges = find_edges(luma, table, corners_px[None], straight, (far, far))
+        edges = find_edges(luma, table, corners_px, straight, (far, far))
         far = np.clip(_WINDOWS * edges.blurs, _LEAST_HALF_PX, half)
     clear = (edges.blurs <= _LARGEST * half) & (edges.gain > _CLEAR)
-    return np.where(clear & (half >= _LEAST_HALF_PX), edges.blurs, np.nan)[0]
+    return np.where(clear & (half >= _LEAST_HALF_PX), edges.blurs, np.nan)
 
 
 def cell_px(quad: ndarray, cells: ndarray) -> ndarray:

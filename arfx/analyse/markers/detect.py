@@ -36,7 +36,6 @@ SCANNED_FAMILIES = (
 )
 
 _REDUCED_WINDOW_PX = 9
-UNKNOWN = np.full(4, np.nan)
 
 
 class Candidate(NamedTuple):
@@ -75,7 +74,7 @@ class Detection(NamedTuple):
     inverted: bool
     misplaced_px: float = 0.0
     misfit_px: float = 0.0
-    side_blurs_px: ndarray = UNKNOWN
+    side_blurs_px: ndarray = np.full(4, np.nan)
 
     @property
     def quad_px(self) -> ndarray:

@@ -20,7 +20,7 @@ from arfx.analyse.markers.corners import (
     refine_corners,
     side_blurs,
 )
-from arfx.analyse.markers.detect import UNKNOWN, Candidate, Detection, Record
+from arfx.analyse.markers.detect import Candidate, Detection, Record
 from arfx.analyse.markers.inner_edges import misplaced_px
 from arfx.analyse.markers.legible import SCANS, scan
 from arfx.analyse.markers.pattern import PatternPicture, coded_luma
@@ -89,7 +89,7 @@ class MarkerSearch:
         height, width = luma.shape
         coded, twice = self._coded.search(frame)
         pictured, _ = self._pictured.search(frame)
-        shown = self.refined(frame, coded)
+        shown = self.coded_sightings(frame, coded)
         shown += [Sighting(index, ANY, np.nan, s) for s in pictured]
         self._seen |= bool(shown)
         instead = [] if self._seen or index not in SCANS else scan(luma)
@@ -100,20 +100,20 @@ class MarkerSearch:
         ]
         return shown
 
-    def refined(
+    def coded_sightings(
         self, frame: AnalysisFrame, found: Sequence[Candidate]
     ) -> list[Sighting]:
         """Prints that were found, refined in light, and in code where that may be better."""
-        in_light = self.refined_in(LIGHT, frame, found)
+        in_light = self.refined(LIGHT, frame, found)
         doubtful = [abs(s.skew) > SKEWED for s in in_light]
-        in_code = self.refined_in(CODE, frame, [*compress(found, doubtful)])
+        in_code = self.refined(CODE, frame, [*compress(found, doubtful)])
         shown = [
             s if doubt else s._replace(transfer=ANY)
             for s, doubt in zip(in_light, doubtful, strict=True)
         ]
         return shown + in_code
 
-    def refined_in(
+    def refined(
         self, transfer: str, frame: AnalysisFrame, found: Sequence[Candidate]
     ) -> list[Sighting]:
         """transfer : LIGHT or CODE"""
@@ -121,24 +121,26 @@ class MarkerSearch:
             return []
         luma, table = frame.luma, linear_table(transfer)
         quads = np.stack([c.quad_px for c in found])
-        cells = [cells_per_side(c.family) for c in found]
+        cells = np.array([cells_per_side(c.family) for c in found])
         self._camera = self._camera.scaled_to(*luma.shape[::-1])
-        r = refine_corners(luma, quads, np.array(cells), table, self._camera)
+        r = refine_corners(luma, quads, cells, table, self._camera)
         numbers = (a.tolist() for a in (r.sigma_px, r.blur_px, r.inverted, r.skew))
+        blurs = np.full((len(found), 4), np.nan)
+        if self._blurs:
+            blurs = side_blurs(luma, r.corners_px, cells, table)
         out = []
-        for c, n, quad, sigma, blur, inverted, skew in zip(
-            found, cells, r.corners_px, *numbers, strict=True
+        for c, quad, sides, sigma, blur, inverted, skew in zip(
+            found, r.corners_px, blurs, *numbers, strict=True
         ):
             off = misplaced_px(luma, quad, c.family, c.id, inverted, table)
-            sides = side_blurs(luma, quad, n, table) if self._blurs else UNKNOWN
             print_ = Detection(c.key, quad, sigma, blur, inverted, off, 0.0, sides)
             out.append(Sighting(frame.index, transfer, skew, print_))
         return out
 
 
-def detections(shown: Sequence[Sighting]) -> list[Detection]:
-    """Of one frame, in light."""
-    return [s.print for s in shown if s.transfer != CODE]
+def refined_in(transfer: str, prints: Iterable[Sighting]) -> list[Sighting]:
+    """Those of LIGHT, or of CODE."""
+    return [s for s in prints if s.transfer in (transfer, ANY)]
 
 
 def choose_transfer(prints: Sequence[Sighting]) -> str:
@@ -158,9 +160,8 @@ def records(
 ) -> list[Record]:
     """What is seen in every frame, by the sightings of one transfer."""
     shown: dict[int, list[Detection]] = {f.frame: [] for f in frames}
-    for s in prints:
-        if s.transfer in (transfer, ANY):
-            shown[s.frame].append(s.print)
+    for s in refined_in(transfer, prints):
+        shown[s.frame].append(s.print)
     return [
         Record(f.frame, f.time_s, tuple(shown[f.frame]), f.thumbnail) for f in frames
     ]

@@ -120,7 +120,8 @@ def test_blur_of_a_disc_is_half_its_radius(radius: float, tilt_deg: float) -> No
     )
     corners = CAMERA.project(pose.apply(MARKER.corners_m))
     table = (255 * SRGB.decode(np.arange(256) / 255)).astype(np.float32)
-    blur = side_blurs(blurred(pose, radius, 0), corners, 8, table)
+    seen = blurred(pose, radius, 0)
+    (blur,) = side_blurs(seen, corners[None], np.array([8]), table)
     np.testing.assert_allclose(
         blur, np.sqrt(radius**2 / 4 + 0.55**2), rtol=0.08, atol=0.03
     )

@@ -277,7 +277,7 @@ def test_edge_domain_is_found_from_the_edges(linear: bool, expected: str) -> Non
         )
         found = [c for c in detector.search(image) if c.key == m.key]
         for transfer in (LIGHT, CODE):
-            seen += search.refined_in(transfer, AnalysisFrame(k, k, image), found)
+            seen += search.refined(transfer, AnalysisFrame(k, k, image), found)
     assert choose_transfer(seen) == expected
     few = seen[: 2 * SIGHTINGS - 2]
     assert choose_transfer(few) == LIGHT, "too few to tell by"
@@ -289,6 +289,6 @@ def test_edges_too_poor_to_tell_are_taken_for_light() -> None:
     )
     flat = np.full((240, 320), 90, np.uint8)
     search = MarkerSearch(AnalysisJob((MarkerSpec("36h11", 1, 0.1),), CAM))
-    (seen,) = search.refined(AnalysisFrame(0, 0.0, flat), [poor])
+    (seen,) = search.coded_sightings(AnalysisFrame(0, 0.0, flat), [poor])
     assert np.isnan(seen.skew) and seen.transfer == ANY
     assert choose_transfer([seen] * (2 * SIGHTINGS)) == LIGHT
