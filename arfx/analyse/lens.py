@@ -65,19 +65,15 @@ def footage_lens(
     world_from_marker: Mapping[str, Pose],
 ) -> LensFit:
     corners_m = {m.key: m.corners_m for m in markers}
-    before: dict[str, tuple[int, ndarray]] = {}
+    before = {(s.frame + 1, s.print.key): s.print.corners_px for s in prints}
     rows = []
     for number, _, _, seen in prints:
         key, corners, blurs = seen.key, seen.corners_px, seen.side_blurs_px
-        last, before[key] = before.get(key), (number, corners)
         fact = facts[number]
-        pose = fact.camera_from_world
-        if fact.status != MEASURED or pose is None or key not in world_from_marker:
+        if fact.status != MEASURED or key not in world_from_marker:
             continue
-        shift = np.zeros((4, 2))
-        if last is not None and last[0] == number - 1:
-            shift = corners - last[1]
-        z = (pose @ world_from_marker[key]).apply(corners_m[key])[:, 2]
+        shift = corners - before.get((number, key), corners)
+        z = (fact.pose @ world_from_marker[key]).apply(corners_m[key])[:, 2]
         for side in np.flatnonzero(np.isfinite(blurs)):
             ends = [side, (side + 1) % 4]
             (a, b), along = z[ends], normalise(corners[ends[1]] - corners[side])

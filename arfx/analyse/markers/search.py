@@ -132,7 +132,7 @@ class MarkerSearch:
         for c, quad, sides, sigma, blur, inverted, skew in zip(
             found, r.corners_px, blurs, *numbers, strict=True
         ):
-            off = misplaced_px(luma, quad, c.family, c.id, inverted, table)
+            off = misplaced_px(luma, quad, c.family, c.id, table)
             print_ = Detection(c.key, quad, sigma, blur, inverted, off, 0.0, sides)
             out.append(Sighting(frame.index, transfer, skew, print_))
         return out
