@@ -253,7 +253,7 @@ def test_what_stretches_learned_is_what_the_clip_shows(
         seen.append(
             records(observed.rows[FrameRow], observed.rows[Sighting], transfer)
         )
-    assert [r.index for r in seen[1]] == [*range(FRAMES)]
+    assert [r.frame for r in seen[1]] == [*range(FRAMES)]
     for a, b in zip(*seen, strict=True):
         assert a.time_s == b.time_s and identical(a.thumbnail, b.thumbnail)
         assert identical(
@@ -274,10 +274,10 @@ def test_what_stretches_learned_is_what_the_clip_shows(
     assert len(readings[1]) > 15 and identical(*readings)
     steps = joined_steps(cut.rows[MotionStep], cut.rows[KeyPicture])
     assert {3, 14, 15, 26} <= {
-        s.index for s in steps if s.key and s.back is not None
+        s.frame for s in steps if s.key and s.back is not None
     }, "a border in a shot leads on"
-    assert [s.index for s in steps if s.back is None] == [0, CUT] and len(
-        {s.index for s in steps}
+    assert [s.frame for s in steps if s.back is None] == [0, CUT] and len(
+        {s.frame for s in steps}
     ) == len(steps)
     rows = in_stretches["plane"].rows
     assert not rests(rows[RestPicture], rows[RestMotion])[0]

@@ -53,9 +53,6 @@ _WINDOWS, _LARGEST = 4.0, 0.25
 _CLEAR = 20.0  # light (of 255) across an edge whose blur is measured
 _ROUNDS = 2
 FAINT = 0.25  # light (of 255) across an edge below which it is taken for none
-MOST_PX = (
-    1e5  # of a corner from the picture's: those that are farther off make no sense
-)
 # from coded luma to the values in which corners are refined
 LIGHT, CODE = "srgb", "gamma:1"
 
@@ -106,14 +103,12 @@ def refine_corners(
     the bend of the sides
     The result depends on the image around the quads only, never on how they were found."""
     start = np.array(quads_px, float).reshape(-1, 4, 2)
-    sensible = (np.abs(start) < MOST_PX).all((1, 2)) & (min(luma.shape) > 1)
-    near = np.where(sensible[:, None, None], start, 0.0)
-    cell = cell_px(near, cells)
+    cell = cell_px(start, cells)
     half = np.clip(0.6 * cell, *HALF_PX)
     reach = np.clip(0.6 * cell, half, REACH_PX)
-    bend = _bend(near, camera)
-    edges = find_edges(luma, table, near, bend, (reach, half))
-    ok = _clear(near, edges, half, reach)
+    bend = _bend(start, camera)
+    edges = find_edges(luma, table, start, bend, (reach, half))
+    ok = _clear(start, edges, half, reach)
     # a corner is where two lines meet, each known at its end to about twice the error of its
     # mean
     sigma = np.maximum(2.0 * edges.spread / np.sqrt(SAMPLES), 0.01)

@@ -85,11 +85,10 @@ class Detection(NamedTuple):
         return float(sides(self.corners_px).mean())
 
 
-@dataclass(frozen=True, eq=False)
-class Record:
+class Record(NamedTuple):
     """One frame. thumbnail : (18, 32) uint8, the whole picture"""
 
-    index: int
+    frame: int
     time_s: float
     detections: tuple[Detection, ...]
     thumbnail: ndarray

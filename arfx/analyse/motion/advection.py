@@ -48,7 +48,7 @@ def with_advection(
     on its plane the poses are believed more than the flow, up to this far, and less and less
     up to twice as far
     """
-    by_index = {s.index: s for s in steps}
+    by_index = {s.frame: s for s in steps}
     nodes = node_positions(camera.width, camera.height)
     rays = camera.directions(nodes)
     number, shot, key, then, out = -1, None, nodes, None, []

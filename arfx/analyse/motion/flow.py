@@ -12,7 +12,6 @@ blur of 1280 x 720) a frame.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -59,8 +58,7 @@ _MOST_PX = 0.3  # of the small picture
 _RIM_PX = 3  # the interpolation and the band need that much around a pixel
 
 
-@dataclass(frozen=True, eq=False)
-class MotionStep:
+class MotionStep(NamedTuple):
     """A frame at which a new epoch of advection begins. back (gh, gw, 2) float32 : what its
     nodes must be moved by, px of the frame, to lie where they lay in the last key frame;
     None : nothing is known (first frame, or all is new)
@@ -68,7 +66,7 @@ class MotionStep:
     detail (gh, gw) uint8 : how much there is to see around the nodes, 0 = even, 255 = edges
     everywhere"""
 
-    index: int
+    frame: int
     back: ndarray | None
     key: bool
     detail: ndarray
@@ -150,7 +148,7 @@ def joined_steps(
         for before, later in pairwise(pictures)
         if later.begins
     }
-    return [replace(s, back=backs.get(s.index, s.back)) for s in steps]
+    return [s._replace(back=backs.get(s.frame, s.back)) for s in steps]
 
 
 def _back(now: KeyPicture, reference: ndarray) -> tuple[ndarray | None, float]:

@@ -88,7 +88,7 @@ def solve_poses(
         blur = [s.blur_px for s in r.detections if np.isfinite(s.blur_px)]
         facts.append(
             FrameFacts(
-                r.index,
+                r.frame,
                 r.time_s,
                 int(shot[k]),
                 status[k],

@@ -226,20 +226,13 @@ def test_large_marker_of_which_the_detector_reports_the_inside_of_its_rim() -> N
             )
 
 
-@pytest.mark.parametrize(
-    "quad", [np.full((4, 2), np.nan), np.zeros((4, 2)), np.full((4, 2), 1e300)]
-)
-def test_senseless_quads_come_back_unrefined(quad: np.ndarray) -> None:
-    image = background(64, 48)
+def test_a_quad_without_size_comes_back_unrefined() -> None:
+    image, quad = background(64, 48), np.zeros((4, 2))
     r = refine_corners(
         (image * 255).astype(np.uint8), quad[None], np.array([8]), TABLE
     )
     assert not r.refined[0] and r.sigma_px[0] == 1.0
-    assert np.array_equal(r.corners_px[0], quad, equal_nan=True)
-    thin = refine_corners(
-        np.zeros((1, 40), np.uint8), np.ones((1, 4, 2)), np.array([8]), TABLE
-    )
-    assert not thin.refined[0]
+    assert np.array_equal(r.corners_px[0], quad)
 
 
 def test_nothing_to_refine_is_said() -> None:

@@ -162,8 +162,8 @@ def test_what_corners_are_misplaced_by_is_not_averaged_away() -> None:
             visible=lambda k, m: k not in (30, 31),
         )
         for k in {*range(first, last)} - {30, 31}:
-            rec[k] = replace(
-                rec[k], detections=(rec[k].detections[0]._replace(misplaced_px=0.4),)
+            rec[k] = rec[k]._replace(
+                detections=(rec[k].detections[0]._replace(misplaced_px=0.4),)
             )
         facts = solve_poses(rec, [A], CAM, PARAMS, None, []).facts
         return np.array(
