@@ -20,7 +20,6 @@ from arfx.analyse.markers.edges import (
     SAMPLES,
     WINDOW_FRACTION,
     WINDOW_PX,
-    Edges,
     find_edges,
 )
 from arfx.core.camera import FISHEYE, Camera
@@ -108,7 +107,10 @@ def refine_corners(
     reach = np.clip(0.6 * cell, half, REACH_PX)
     bend = _bend(start, camera)
     edges = find_edges(luma, table, start, bend, (reach, half))
-    ok = _clear(start, edges, half, reach)
+    # was an edge found, of enough contrast, straight, and not some other one far away?
+    away = np.abs(edges.quad - start).max((1, 2))
+    ok = (away <= np.maximum(3.0, 1.5 * reach.max(1))) & (edges.gain.min(1) > FAINT)
+    ok &= edges.spread < half.max(1)
     # a corner is where two lines meet, each known at its end to about twice the error of its
     # mean
     sigma = np.maximum(2.0 * edges.spread / np.sqrt(SAMPLES), 0.01)
@@ -179,13 +181,6 @@ def cell_px(quad: ndarray, cells: ndarray) -> ndarray:
         divide(length, opposite, where_zero=1.0), 1.0
     )
     return np.asarray(deep / np.reshape(cells, (-1, 1)))
-
-
-def _clear(start: ndarray, edges: Edges, half: ndarray, reach: ndarray) -> ndarray:
-    """(n,) Was an edge found, of enough contrast, straight, and not some other one far away?"""
-    away = np.abs(edges.quad - start).max((1, 2))
-    near = away <= np.maximum(3.0, 1.5 * reach.max(1))
-    return near & (edges.gain.min(1) > FAINT) & (edges.spread < half.max(1))
 
 
 def _bend(quad: ndarray, camera: Camera | None) -> ndarray:
