@@ -9,7 +9,7 @@ from arfx.analyse.clip import analyse
 from arfx.analyse.job import Analysis, AnalysisFrame, AnalysisJob
 from arfx.analyse.markers.search import MarkerSearch
 from arfx.analyse.observe import ClipRows, Observation
-from arfx.analyse.tables import Tables
+from arfx.analyse.tables import Tables, tables_of
 
 
 class Observed:
@@ -30,7 +30,7 @@ class Observed:
         self.observation.step(frame)
 
     def tables(self) -> Tables:
-        return self.observation.tables()
+        return tables_of(self.observation.rows())
 
     def add(self, tables: Tables, shift: int = 0) -> None:
         self._before.append((tables, shift))

@@ -15,21 +15,28 @@ from arfx.analyse.depth.plane_pose import plane_poses, with_real_planes
 from arfx.analyse.depth.scale import depth_checks, with_depth
 from arfx.analyse.job import PLANE, Analysis, AnalysisJob
 from arfx.analyse.lens import with_lens
-from arfx.analyse.light.frames import with_light
-from arfx.analyse.light.observe import environment_samples, light_checks
+from arfx.analyse.light.frames import Reading, with_light
+from arfx.analyse.light.observe import (
+    BackgroundChange,
+    environment_samples,
+    light_checks,
+)
 from arfx.analyse.light.seen import Snapshot, given_everywhere, with_seen
 from arfx.analyse.light.surroundings import EnvironmentSample, with_environment
 from arfx.analyse.markers.search import (
+    FrameRow,
+    OtherPrint,
+    Sighting,
     choose_transfer,
-    frame_size,
     nothing_seen,
     pattern_checks,
     pattern_misfits,
     records,
 )
 from arfx.analyse.motion.advection import AROUND, with_advection
-from arfx.analyse.motion.flow import joined_steps
+from arfx.analyse.motion.flow import KeyPicture, MotionStep, joined_steps
 from arfx.analyse.observe import ClipRows
+from arfx.analyse.pose.at_rest import FlowSample, RestMotion, RestPicture
 from arfx.analyse.pose.figures import pose_checks
 from arfx.analyse.pose.solve import solve_poses
 from arfx.analyse.pose.visibility import with_model
@@ -50,11 +57,11 @@ def analyse(
     clip = Analysis(frame_span=frame_span)
     on_plane = job.anchor == PLANE
     if on_plane:
-        clip = plane_poses(clip, job, rows["rest_pictures"], rows["rest_motions"])
+        clip = plane_poses(clip, job, rows[RestPicture], rows[RestMotion])
     else:
         clip = marker_poses(clip, rows, job)
     if {"light", "environment"} & {*wanted}:
-        snapshots = rows["snapshots"]
+        snapshots = rows[Snapshot]
         samples = environment_samples(snapshots, clip, job.camera)
         clip = lit(clip, rows, samples, job)
         if "environment" in wanted:
@@ -62,7 +69,7 @@ def analyse(
     if "flow" in wanted:
         clip = moved(clip, rows, job)
     if "lens" in wanted and not on_plane:
-        clip = with_lens(clip, rows["sides"], job.markers)
+        clip = with_lens(clip, rows[Sighting], job.markers)
     if job.scene is not None and "object" in wanted:
         clip = clip.adding(with_model(clip.facts, job.scene(clip)))
     if job.depth is not None and {"depth", "planes"} & {*wanted}:
@@ -76,23 +83,28 @@ def marker_poses(clip: Analysis, rows: ClipRows, job: AnalysisJob) -> Analysis:
     """The camera's path over the markers.
 
     Raises NothingToDoError if no configured marker was ever seen, saying what was."""
-    frames, prints = rows["frames"], rows["prints"]
-    camera = job.camera.scaled_to(*frame_size(frames))
+    frames, prints, others = rows[FrameRow], rows[Sighting], rows[OtherPrint]
+    camera = job.camera.scaled_to(frames[0].width, frames[0].height)
     if not prints:
-        raise nothing_seen(job.markers, len(frames), rows["others"])
+        raise nothing_seen(job.markers, len(frames), others)
     transfer = choose_transfer(prints)
     seen = records(frames, prints, transfer)
-    background = rows["background"]
+    background = rows[FlowSample]
     found = solve_poses(
         seen, job.markers, camera, job.params, job.marker_map, background
     )
-    misfits = pattern_misfits(seen, job.prints)
-    summary = {
-        "edge_transfer": transfer,
-        "pattern_misfit_px": misfits,
-        **found.summary,
-    }
-    return replace(found, frame_span=clip.frame_span, summary=summary)
+    keys = {m.key for m in job.markers}
+    twice = [other.key for other in others if other.key in keys]
+    notice = (
+        f"two prints of the same id in a frame ({', '.join(sorted({*twice}))},"
+        f" {len(twice)} times): the one that moves on from the frame before is followed"
+    )
+    found = found.adding(
+        notice=notice if twice else None,
+        edge_transfer=transfer,
+        pattern_misfit_px=pattern_misfits(prints, job.prints),
+    )
+    return replace(found, frame_span=clip.frame_span)
 
 
 def lit(
@@ -102,7 +114,7 @@ def lit(
     job: AnalysisJob,
 ) -> Analysis:
     """Every frame's light: read on the prints, guessed from the surroundings, or given."""
-    readings = rows["readings"]
+    readings = rows[Reading]
     if job.light_method is not None:
         return job.light_method(clip, readings, samples, job.light, job.panorama)
     return with_light(
@@ -111,7 +123,7 @@ def lit(
         samples,
         job.light,
         job.panorama,
-        changes=dict(rows["changes"]),
+        changes=dict(rows[BackgroundChange]),
         place_m=lambda: object_place_m(clip, job),
     )
 
@@ -154,9 +166,9 @@ def surrounded(
 
 def moved(clip: Analysis, rows: ClipRows, job: AnalysisJob) -> Analysis:
     """How the background moves, for what is to lie still on it."""
-    pictures = rows["key_pictures"]
+    pictures = rows[KeyPicture]
     camera = job.camera.scaled_to(pictures[0].width, pictures[0].height)
-    steps = joined_steps(rows["steps"], pictures)
+    steps = joined_steps(rows[MotionStep], pictures)
     reach_m = AROUND * clip.anchor.size_m
     return clip.adding(
         with_advection(clip.facts, steps, camera, clip.world_from_anchor, reach_m)

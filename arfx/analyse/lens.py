@@ -15,31 +15,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy import ndarray
 
-from arfx.analyse.job import Analysis, AnalysisFrame
-from arfx.analyse.markers.corners import LIGHT, cell_px, linear_table
-from arfx.analyse.markers.edges import FRACTIONS, SAMPLES, find_edges
-from arfx.analyse.markers.search import ANY, Sighting
+from arfx.analyse.job import Analysis
+from arfx.analyse.markers.edges import FRACTIONS
+from arfx.analyse.markers.search import Sighting, refined_in
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.lens import LensFit
-from arfx.core.marker import FAMILIES, Marker
-from arfx.core.marker_codes import cells_per_side
+from arfx.core.marker import Marker
 from arfx.core.numerics import condition, divide, normalise
 from arfx.core.pose import Pose
 
-_LEAST_HALF_PX = 2.0
-_HALF_CELLS, _MOST_HALF_PX = (
-    0.7,
-    24.0,
-)  # what is looked at: the rim and the margin are a cell wide
-_WINDOWS = 4.0  # to each side of an edge, by standard deviations of its blur
-_LARGEST = 0.25  # of the half width: a disc beyond it is measured too large
-_FAINT = 20.0  # light (of 255) across an edge
-_ROUNDS = 2
 MOST_MOTION_PX = 3.0  # across a side from frame to frame
 _SIGMA_PX, _SIGMA_FRACTION = (
     0.06,
@@ -53,65 +41,13 @@ MAX_CONDITION = (
 _HUBER = 1.5
 
 
-def side_blurs(
-    luma: ndarray, corners_px: ndarray, cells: int, table: ndarray
-) -> ndarray:
-    """(4,) standard deviation, px, of the blur across each side (corner k to k + 1); NaN
-    where it cannot be measured.
-
-    luma : (h, w) uint8;  corners_px : (4, 2) clockwise in the picture;  table : (256,)
-    coded luma to linear light, 0..255
-    """
-    half = _HALF_CELLS * cell_px(corners_px[None], np.array([cells]))
-    half = far = np.clip(half, 1e-3, _MOST_HALF_PX)
-    straight = np.zeros((1, 4, SAMPLES, 2))
-    for _ in range(_ROUNDS):
-        edges = find_edges(luma, table, corners_px[None], straight, (far, far))
-        far = np.clip(_WINDOWS * edges.blurs, _LEAST_HALF_PX, half)
-    clear = (edges.blurs <= _LARGEST * half) & (edges.gain > _FAINT)
-    return np.where(clear & (half >= _LEAST_HALF_PX), edges.blurs, np.nan)[0]
-
-
-class SideBlurs(NamedTuple):
-    """The blur of a print's sides, (4,) px, in one frame, in the values of a transfer;
-    corners (4, 2) px"""
-
-    frame: int
-    transfer: str
-    key: str
-    blurs: ndarray
-    corners: ndarray
-
-
-class SideReader:
-    """Measures how the sides of coded prints are blurred."""
-
-    tables: ClassVar[Mapping[str, type]] = {"sides": SideBlurs}
-
-    def __init__(self) -> None:
-        self.sides: list[SideBlurs] = []
-
-    def step(self, frame: AnalysisFrame, shown: Sequence[Sighting]) -> None:
-        for s in shown:
-            corners = s.print.corners_px
-            family = s.print.key.rpartition(":")[0]
-            # nothing is known of the edges around a pattern
-            if s.duplicate or family not in FAMILIES:
-                continue
-            table = linear_table(s.transfer or LIGHT)
-            blurs = side_blurs(frame.luma, corners, cells_per_side(family), table)
-            if np.isfinite(blurs).any():
-                row = SideBlurs(frame.index, s.transfer, s.print.key, blurs, corners)
-                self.sides.append(row)
-
-
 def with_lens(
-    clip: Analysis, sides: Sequence[SideBlurs], markers: Sequence[Marker]
+    clip: Analysis, prints: Sequence[Sighting], markers: Sequence[Marker]
 ) -> Analysis:
     """The clip with `lens` in every frame, and the fit in summary["footage_lens"]."""
     transfer = clip.summary["edge_transfer"]
-    readings = [s for s in sides if s.transfer in (transfer, ANY)]
-    fit = footage_lens(clip.facts, readings, markers, clip.world_from_marker)
+    seen = refined_in(transfer, prints)
+    fit = footage_lens(clip.facts, seen, markers, clip.world_from_marker)
     notice = (
         None
         if fit.known
@@ -124,23 +60,20 @@ def with_lens(
 
 def footage_lens(
     facts: Sequence[FrameFacts],
-    readings: Sequence[SideBlurs],
+    prints: Sequence[Sighting],
     markers: Sequence[Marker],
     world_from_marker: Mapping[str, Pose],
 ) -> LensFit:
     corners_m = {m.key: m.corners_m for m in markers}
-    before: dict[str, tuple[int, ndarray]] = {}
+    before = {(s.frame + 1, s.print.key): s.print.corners_px for s in prints}
     rows = []
-    for number, _, key, blurs, corners in readings:
-        last, before[key] = before.get(key), (number, corners)
+    for number, _, _, seen in prints:
+        key, corners, blurs = seen.key, seen.corners_px, seen.side_blurs_px
         fact = facts[number]
-        pose = fact.camera_from_world
-        if fact.status != MEASURED or pose is None or key not in world_from_marker:
+        if fact.status != MEASURED or key not in world_from_marker:
             continue
-        shift = np.zeros((4, 2))
-        if last is not None and last[0] == number - 1:
-            shift = corners - last[1]
-        z = (pose @ world_from_marker[key]).apply(corners_m[key])[:, 2]
+        shift = corners - before.get((number, key), corners)
+        z = (fact.pose @ world_from_marker[key]).apply(corners_m[key])[:, 2]
         for side in np.flatnonzero(np.isfinite(blurs)):
             ends = [side, (side + 1) % 4]
             (a, b), along = z[ends], normalise(corners[ends[1]] - corners[side])
@@ -186,16 +119,11 @@ def lens_from_blur(
         known = f"{len(d)} edges of known distance and blur"
         return LensFit(False, f"{known}, at least {MIN_EDGES} are needed")
     middle, spread = float(d.mean()), float(np.subtract(*np.percentile(d, (95, 5))))
-    if spread < 1e-6 * middle:
-        return LensFit(
-            False, "the markers are all at one distance: any focus explains the blur"
-        )
     error = 2 * blur * sigma  # of blur squared
-    a = np.vander((d - middle) / spread, 3) / error[:, None]
-    if condition(a.T @ a) > MAX_CONDITION:
-        return LensFit(
-            False, "the markers' distances do not separate a parabola from a line"
-        )
+    a = np.vander(divide(d - middle, spread), 3) / error[:, None]
+    if spread < 1e-6 * middle or condition(a.T @ a) > MAX_CONDITION:
+        why = "the markers' distances do not separate a parabola from a line"
+        return LensFit(False, f"{why}: any focus explains the blur")
     b = blur**2 / error
     p = least_squares(
         lambda p: a @ p - b,

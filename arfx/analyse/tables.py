@@ -10,58 +10,78 @@ import hashlib
 import io
 import math
 from ast import literal_eval
-from collections.abc import Mapping, Sequence
-from dataclasses import is_dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
-from typing import Any, get_type_hints
+from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
 from numpy import ndarray
 
+T = TypeVar("T")
 Columns = dict[str, ndarray]
 Tables = dict[str, Columns]
-_SHAPES = "/shapes"  # texts, of arrays of one column that differ: it is what they hold, flat
+_PLAIN = (int, float, bool, str)
+_ARRAYS = (ndarray, ndarray | None)
+_SHAPES = "/shapes"  # texts, of a column of arrays: it is what they hold, flat
 _DIGEST_BYTES = 16
-_NONE = ""  # in place of a shape: no array
 
 
-def by_columns(rows: Sequence[Any], kind: type) -> Columns:
-    """The rows, dataclasses or named tuples of `kind`, as equally long arrays by field.
+def by_columns(rows: Sequence[Any], kind: type, outer: str = "") -> Columns:
+    """The rows, dataclasses or named tuples of `kind`, by field. outer : before its name
 
     Fields are numbers, texts, arrays of any shape, None in place of one, or such rows."""
     out: Columns = {}
-    for name, hint in _fields(kind):
-        values = [getattr(row, name) for row in rows]
-        if _is_row(hint):
-            inner = by_columns(values, hint)
-            out |= {f"{name}.{k}": column for k, column in inner.items()}
-            continue
-        shapes = [_NONE if v is None else str(np.shape(v)) for v in values]
-        if len({*shapes}) <= 1 and _NONE not in shapes:
-            out[name] = np.array(values)
-            continue
-        known = [np.ravel(v) for v in values if v is not None]
-        out[name] = np.concatenate(known or [np.zeros(0)])
-        out[name + _SHAPES] = np.array(shapes)
+    for name, hint in get_type_hints(kind).items():
+        column, values = outer + name, [getattr(row, name) for row in rows]
+        if hint in _PLAIN:
+            out[column] = np.array(values)
+        elif hint in _ARRAYS:
+            known = [v.ravel() for v in values if v is not None]
+            out[column] = np.concatenate(known or [np.zeros(0)])
+            shapes = [None if v is None else v.shape for v in values]
+            out[column + _SHAPES] = np.array([*map(str, shapes)])
+        else:
+            out |= by_columns(values, hint, f"{column}.")
     return out
 
 
-def rows_of(columns: Mapping[str, ndarray], kind: type, shift: int = 0) -> list[Any]:
-    """The rows again. shift : to be added to their frames' numbers"""
-    values = []
-    for name, hint in _fields(kind):
-        if _is_row(hint):
-            outer = f"{name}."
-            inner = {
-                k.removeprefix(outer): v for k, v in columns.items() if outer in k
-            }
-            values.append(rows_of(inner, hint))
-        elif name + _SHAPES in columns:
-            values.append(_arrays(columns[name], columns[name + _SHAPES]))
+def tables_of(rows: Iterable[Any]) -> Tables:
+    """Rows of any kinds: a table of each, by the class's name."""
+    every: dict[type, list[Any]] = {}
+    for row in rows:
+        every.setdefault(type(row), []).append(row)
+    return {kind.__name__: by_columns(some, kind) for kind, some in every.items()}
+
+
+def rows_of(tables: Mapping[str, Columns], kind: type[T], shift: int = 0) -> list[T]:
+    """The rows of one kind again. shift : to be added to their frames' numbers"""
+    if kind.__name__ not in tables:
+        return []
+    columns, frame = tables[kind.__name__], next(iter(get_type_hints(kind)))
+    return _rows({**columns, frame: columns[frame] + shift}, kind)
+
+
+def _rows(columns: Mapping[str, ndarray], kind: type, outer: str = "") -> list[Any]:
+    fields: list[list[Any]] = []
+    for name, hint in get_type_hints(kind).items():
+        column = outer + name
+        if hint in _PLAIN:
+            fields.append(columns[column].tolist())
+        elif hint in _ARRAYS:
+            fields.append(_arrays(columns[column], columns[column + _SHAPES]))
         else:
-            column = columns[name] + shift if shift and not values else columns[name]
-            values.append(column.tolist() if column.ndim == 1 else [*column])
-    return [kind(*row) for row in zip(*values, strict=True)]
+            fields.append(_rows(columns, hint, f"{column}."))
+    return [kind(*row) for row in zip(*fields, strict=True)]
+
+
+def _arrays(flat: ndarray, texts: ndarray) -> list[ndarray | None]:
+    shapes = [*map(cache(literal_eval), texts.tolist())]
+    ends = np.cumsum([0 if shape is None else math.prod(shape) for shape in shapes])
+    parts = np.split(flat, ends)  # and what is behind the last one: nothing
+    return [
+        None if shape is None else part.reshape(shape)
+        for part, shape in zip(parts, shapes, strict=False)
+    ]
 
 
 def to_bytes(tables: Mapping[str, Columns]) -> bytes:
@@ -91,22 +111,3 @@ def from_bytes(data: bytes) -> Tables:
 
 def _digest(body: bytes) -> bytes:
     return hashlib.blake2b(body, digest_size=_DIGEST_BYTES).digest()
-
-
-@cache
-def _fields(kind: type) -> list[tuple[str, Any]]:
-    return [*get_type_hints(kind).items()]
-
-
-def _is_row(hint: Any) -> bool:
-    return isinstance(hint, type) and (is_dataclass(hint) or hasattr(hint, "_fields"))
-
-
-def _arrays(flat: ndarray, shapes: ndarray) -> list[ndarray | None]:
-    out: list[ndarray | None] = []
-    for text in shapes.tolist():
-        shape = None if text == _NONE else literal_eval(text)
-        count = 0 if shape is None else math.prod(shape)
-        out.append(None if shape is None else flat[:count].reshape(shape))
-        flat = flat[count:]
-    return out

@@ -25,7 +25,7 @@ from arfx.errors import InputError
 MEASURED, INTERPOLATED, ABSENT = "measured", "interpolated", "absent"
 _FORMAT, _VERSION = (
     "arfx-facts",
-    4,
+    5,
 )  # of a facts file: JSON lines, a header and then one line per frame
 
 
@@ -90,7 +90,6 @@ class FrameFacts(Document):
     reprojection_px: float | None = None
     opacity: float = 0.0
     markers: tuple[MarkerSighting, ...] = ()
-    whole_frame_search: bool = False
     model_box: Rect = EMPTY
     depth_range_m: tuple[float, float] = (0.0, 0.0)
     light: Light | None = None

@@ -3,7 +3,11 @@
 from functools import cache
 
 import cv2
+import numpy as np
 from numpy import ndarray
+
+# corners of the unit square, in the order of MarkerSpec.corners_m
+UNIT_SQUARE = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
 
 
 @cache

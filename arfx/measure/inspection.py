@@ -19,15 +19,14 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from arfx.analyse.lens import side_blurs
-from arfx.analyse.markers.corners import linear_table, refine_corners
+from arfx.analyse.markers.corners import linear_table, refine_corners, side_blurs
 from arfx.analyse.markers.detect import SCANNED_FAMILIES, Candidate, MarkerDetector
 from arfx.analyse.markers.legible import HOLDS_FRAMES, legible
 from arfx.analyse.pose.planar import both_poses
 from arfx.analyse.pose.shots import find_cuts, thumbnail, unlikeness
 from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec, smallest_family
-from arfx.core.marker_codes import cells_per_side
+from arfx.core.marker_codes import UNIT_SQUARE, cells_per_side
 from arfx.core.numerics import angle_between, divide
 from arfx.core.pose import Pose
 from arfx.measure.truth import quantiles
@@ -35,7 +34,6 @@ from arfx.media.clip import PHOTO, ClipInfo
 from arfx.media.frames import ClipReader
 
 MIN_SIDE_PX = 12.0  # smaller squares are found in any texture
-_UNIT = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
 _SQUARE = 0.1  # by which sides and diagonals of a square may differ
 _SAME_SIZE = 0.06  # prints of one size are measured as different by less
 # clips up to this many frames are read whole (cuts are found too); longer ones by seeking
@@ -165,7 +163,8 @@ def _record(
     cells = np.array([cells_per_side(c.family) for c in seen])
     quads = np.reshape([c.quad_px for c in seen], (-1, 4, 2))
     refined = refine_corners(luma, quads, cells, linear_table()).corners_px
-    for c, quad in zip(seen, refined, strict=True):
+    blurred = side_blurs(luma, quads, cells, linear_table())
+    for c, quad, blurs in zip(seen, refined, blurred, strict=True):
         m = found.setdefault(c.key, Found(c.family, c.id))
         counts, sure = legible(luma, c)
         m.counted |= {index} if counts else set()
@@ -174,7 +173,6 @@ def _record(
         if len(m.quads[index]) > 1:
             continue
         m.sides_px.append(c.side_px)
-        blurs = side_blurs(luma, c.quad_px, cells_per_side(c.family), linear_table())
         if np.isfinite(blurs).any():
             m.blurs_px.append(float(np.nanmedian(blurs)))
         tilt = None if camera is None else tilt_deg(c.quad_px, camera)
@@ -251,7 +249,7 @@ def relative_size(first: Found, m: Found) -> float | None:
     sizes, together = list[float](), first.quads.keys() & m.quads.keys()
     for i in together:
         ours, theirs = (q[i][0].astype(np.float32) for q in (first.quads, m.quads))
-        flat = cv2.getPerspectiveTransform(ours, _UNIT)
+        flat = cv2.getPerspectiveTransform(ours, UNIT_SQUARE)
         quad = cv2.perspectiveTransform(theirs[None], flat)[0]
         sides = np.linalg.norm(quad - quad[[1, 2, 3, 0]], axis=1)
         across = np.linalg.norm(quad[:2] - quad[2:], axis=1) / np.sqrt(2)

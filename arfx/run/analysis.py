@@ -27,8 +27,6 @@ from arfx.media.frames import (
 from arfx.run.executors import Done, Results, Task, run_serial
 from arfx.run.folder import JobFolder
 from arfx.run.stretches import (
-    END,
-    FRAMES,
     Context,
     Span,
     Stretch,
@@ -136,7 +134,7 @@ def _tables(file: Path) -> Tables | None:
     """None where there is no file that is whole."""
     with contextlib.suppress(OSError, ValueError):
         tables = from_bytes(file.read_bytes())
-        if END in tables:
+        if StretchEnd.__name__ in tables:
             return tables
     return None
 
@@ -153,10 +151,10 @@ def _joined(
         if tables is None:
             raise RenderError(f"{file} has changed", "--resume makes it anew")
         rows.add(tables, len(pts) - part.first)
-        frames = rows_of(tables[FRAMES], StretchFrame, len(pts))
+        frames = rows_of(tables, StretchFrame, len(pts))
         keys += [f.frame for f in frames if f.key]
         pts += [f.pts for f in frames]
-        (end,) = rows_of(tables[END], StretchEnd)
+        (end,) = rows_of(tables, StretchEnd)
         before += end.before
     if not pts:
         raise span.nothing()

@@ -24,7 +24,7 @@ from numpy import ndarray
 
 from arfx.analyse.job import AnalysisFrame, AnalysisJob
 from arfx.analyse.observe import Observation
-from arfx.analyse.tables import Tables, by_columns, to_bytes
+from arfx.analyse.tables import Tables, tables_of, to_bytes
 from arfx.core.codec import Document, Packed
 from arfx.errors import NothingToDoError
 from arfx.media.clip import ClipInfo
@@ -290,18 +290,12 @@ class StretchFrame(NamedTuple):
 
 
 class StretchEnd(NamedTuple):
-    (
-        """How a stretch ended. before : frames of the clip that were decoded before the span;
-    ended : it reaches the clip's end;  truncated : why early, or """
-        ""
-    )
+    """How a stretch ended. before : frames of the clip that were decoded before the span;
+    ended : it reaches the clip's end;  truncated : why early, "" = it is whole"""
 
     before: int
     ended: bool
     truncated: str
-
-
-FRAMES, END = "stretch/frames", "stretch/end"
 
 
 def observe(
@@ -369,9 +363,5 @@ def observe(
                 keep_frame(frame)
             tick()
             frame = following
-    tables = {
-        **observation.tables(),
-        FRAMES: by_columns(shown, StretchFrame),
-        END: by_columns([end], StretchEnd),
-    }
+    tables = tables_of([*observation.rows(), *shown, end])
     return tables, {"decode": source.seconds - decoded_s, "analyse": analyse_s}

@@ -17,12 +17,20 @@ import pytest
 
 from arfx.analyse.clip import marker_poses
 from arfx.analyse.job import PLANE, Analysis, AnalysisFrame, AnalysisJob
-from arfx.analyse.markers import coded, pictured, tracker
-from arfx.analyse.markers.search import choose_transfer, records
+from arfx.analyse.light.frames import Reading
+from arfx.analyse.light.observe import BackgroundChange
+from arfx.analyse.light.seen import Snapshot
+from arfx.analyse.markers import tracker
+from arfx.analyse.markers.search import (
+    FrameRow,
+    OtherPrint,
+    Sighting,
+    choose_transfer,
+    records,
+)
 from arfx.analyse.motion import flow
-from arfx.analyse.motion.flow import joined_steps
-from arfx.analyse.observe import KINDS
-from arfx.analyse.pose.at_rest import rests
+from arfx.analyse.motion.flow import KeyPicture, MotionStep, joined_steps
+from arfx.analyse.pose.at_rest import FlowSample, RestMotion, RestPicture, rests
 from arfx.analyse.tables import from_bytes, to_bytes
 from arfx.core.marker import MarkerSpec, PatternSpec
 from arfx.core.rect import Rect
@@ -120,6 +128,10 @@ CUTS = (
     CUT,
     FRAMES,
 )  # before anything is seen; a single frame; a cut at a border
+KINDS = {
+    *(FrameRow, Sighting, OtherPrint, FlowSample, RestPicture, RestMotion),
+    *(Reading, BackgroundChange, Snapshot, MotionStep, KeyPicture),
+}
 WANTED = {"light", "environment", "flow", "lens"}
 Made = dict[str, Observed]
 
@@ -130,8 +142,7 @@ def quick_search() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(tracker, "LOSS_SEARCH_FRAMES", 2)
         patch.setattr(tracker, "SEARCH_INTERVAL_S", 0.6)
-        for module in (tracker, coded, pictured):
-            patch.setattr(module, "REDUCED_PX", 50_000)
+        patch.setattr(tracker, "REDUCED_PX", 50_000)
         yield
 
 
@@ -178,12 +189,10 @@ def flow_once() -> Iterator[None]:
     """
     kept: dict[tuple[Any, ...], Any] = {}
 
-    def back(
-        small: np.ndarray, reference: np.ndarray, *size: int, find: Any = flow._back
-    ) -> Any:
-        key = small.tobytes(), reference.tobytes(), small.shape, size
+    def back(now: KeyPicture, reference: np.ndarray, find: Any = flow._back) -> Any:
+        key = now.picture.tobytes(), reference.tobytes(), now.width, now.height
         if key not in kept:
-            kept[key] = find(small, reference, *size)
+            kept[key] = find(now, reference)
         return copy.deepcopy(kept[key])
 
     with pytest.MonkeyPatch.context() as patch:
@@ -203,24 +212,18 @@ def in_stretches() -> Made:
 
 def test_the_clip_gives_every_table_rows(uncut: Made) -> None:
     """So that the tests below hold every one of them, those of new observers too."""
-    given = {
-        table
-        for observed in uncut.values()
-        for table in observed.tables()
-        if observed.rows[table]
-    }
-    assert given == {*KINDS}
+    given = {name for observed in uncut.values() for name in observed.tables()}
+    assert given == {kind.__name__ for kind in KINDS}
 
 
 def test_rows_come_back_from_a_file_as_they_were(uncut: Made) -> None:
     for observed, again in zip(uncut.values(), made().values(), strict=True):
         again.add(from_bytes(to_bytes(observed.tables())))
-        kept, observation = again.rows, observed.observation
-        for observer in filter(None, (observation._search, *observation._others)):
-            for table in observer.tables:
-                rows = getattr(observer, table), kept[table]
-                one, other = ([*map(values, part)] for part in rows)
-                assert one and identical(one, other), table
+        rows = observed.observation.rows()
+        for kind in {type(row) for row in rows}:
+            one = [values(row) for row in rows if type(row) is kind]
+            other = [*map(values, again.rows[kind])]
+            assert one and identical(one, other), kind
 
 
 def values(row: Any) -> Any:
@@ -245,15 +248,14 @@ def test_what_stretches_learned_is_what_the_clip_shows(
     one, cut = uncut["markers"], in_stretches["markers"]
     seen = []
     for observed in (one, cut):
-        transfer = choose_transfer(observed.rows["prints"])
+        transfer = choose_transfer(observed.rows[Sighting])
         assert transfer == "gamma:1"
         seen.append(
-            records(observed.rows["frames"], observed.rows["prints"], transfer)
+            records(observed.rows[FrameRow], observed.rows[Sighting], transfer)
         )
-    assert [r.index for r in seen[1]] == [*range(FRAMES)]
+    assert [r.frame for r in seen[1]] == [*range(FRAMES)]
     for a, b in zip(*seen, strict=True):
         assert a.time_s == b.time_s and identical(a.thumbnail, b.thumbnail)
-        assert identical(a.duplicates, b.duplicates)
         assert identical(
             *([d for d in r.detections if d.key == M.key] for r in (a, b))
         )
@@ -263,20 +265,22 @@ def test_what_stretches_learned_is_what_the_clip_shows(
             np.abs(found[1][k].corners_px - d.corners_px).max() < 0.05
             for k, d in found[0].items()
         )
+    twice = [observed.rows[OtherPrint] for observed in (one, cut)]
+    assert twice[0] and {*twice[0]} <= {*twice[1]}
     readings = [
-        [values(r) for r in observed.rows["readings"] if r.key == M.key]
+        [values(r) for r in observed.rows[Reading] if r.key == M.key]
         for observed in (one, cut)
     ]
     assert len(readings[1]) > 15 and identical(*readings)
-    steps = joined_steps(cut.rows["steps"], cut.rows["key_pictures"])
+    steps = joined_steps(cut.rows[MotionStep], cut.rows[KeyPicture])
     assert {3, 14, 15, 26} <= {
-        s.index for s in steps if s.key and s.back is not None
+        s.frame for s in steps if s.key and s.back is not None
     }, "a border in a shot leads on"
-    assert [s.index for s in steps if s.back is None] == [0, CUT] and len(
-        {s.index for s in steps}
+    assert [s.frame for s in steps if s.back is None] == [0, CUT] and len(
+        {s.frame for s in steps}
     ) == len(steps)
     rows = in_stretches["plane"].rows
-    assert not rests(rows["rest_pictures"], rows["rest_motions"])[0]
+    assert not rests(rows[RestPicture], rows[RestMotion])[0]
 
 
 def test_poses_of_coded_prints_do_not_depend_on_where_a_clip_is_cut() -> None:
@@ -302,12 +306,10 @@ def test_poses_of_coded_prints_do_not_depend_on_where_a_clip_is_cut() -> None:
 
 def test_frames_are_numbered_where_they_come_to_lie() -> None:
     numbered, again = (joined(n, (0, 11, 15)) for n in (True, False))
-    assert numbered["markers"].rows["readings"]
+    assert numbered["markers"].rows[Reading]
     for name in ("markers", "plane"):
-        for table in KINDS.keys() - {
-            "others"
-        }:  # dictionaries are looked for by number
+        for kind in KINDS - {OtherPrint}:  # dictionaries are looked for by number
             one, other = (
-                [*map(values, clip[name].rows[table])] for clip in (numbered, again)
+                [*map(values, clip[name].rows[kind])] for clip in (numbered, again)
             )
-            assert identical(one, other), (name, table)
+            assert identical(one, other), (name, kind)

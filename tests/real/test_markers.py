@@ -96,10 +96,7 @@ def wall() -> tuple[Observed, Analysis, set, set, float]:
 def test_tracked_search_equals_whole_frame_search(wall: tuple) -> None:
     _, analysis, missed, more, worst = wall
     assert not missed and not more and worst < 1e-3
-    assert (
-        analysis.summary["frames_measured"] == 159
-        and analysis.summary["whole_frame_searches"] <= 3
-    )
+    assert analysis.summary["frames_measured"] == 159
     assert all(len(f.markers) == 2 for f in analysis.facts)
 
 

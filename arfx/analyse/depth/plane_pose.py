@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from arfx.analyse.depth.planes import facing_up, scene_planes
 from arfx.analyse.job import PLANE, PLANE_MARKER, Analysis, AnalysisJob
-from arfx.analyse.pose.at_rest import RestMotion, Snapshot, rests
+from arfx.analyse.pose.at_rest import RestMotion, RestPicture, rests
 from arfx.analyse.pose.figures import figures
 from arfx.core.facts import INTERPOLATED, MEASURED, FrameFacts
 from arfx.core.pose import Pose
@@ -25,7 +25,7 @@ MAPS = 4  # that planes are looked for in, over the clip
 def plane_poses(
     clip: Analysis,
     job: AnalysisJob,
-    pictures: Sequence[Snapshot],
+    pictures: Sequence[RestPicture],
     motions: Sequence[RestMotion],
 ) -> Analysis:
     """The clip with every frame's pose over the dominant plane, whose middle is the world's

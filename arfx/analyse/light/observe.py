@@ -4,7 +4,7 @@ small pictures of the surroundings."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy import ndarray
@@ -17,7 +17,8 @@ from arfx.analyse.light.frames import Reading
 from arfx.analyse.light.hypotheses import REFUSED
 from arfx.analyse.light.seen import SNAPSHOT_PX, Snapshot
 from arfx.analyse.light.surroundings import EnvironmentSample, environment_sample
-from arfx.analyse.markers.search import Sighting, detections
+from arfx.analyse.markers.corners import LIGHT
+from arfx.analyse.markers.search import Sighting, refined_in
 from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec
 from arfx.core.rect import Rect
@@ -41,11 +42,6 @@ class BackgroundChange(NamedTuple):
 class LightReader:
     """Reads the prints' cells, and how the background's light changes from frame to frame."""
 
-    tables: ClassVar[Mapping[str, type]] = {
-        "readings": Reading,
-        "changes": BackgroundChange,
-    }
-
     def __init__(self, job: AnalysisJob) -> None:
         ink, paper = job.light.ink, job.light.paper
         self._meters = {
@@ -58,8 +54,7 @@ class LightReader:
                 patches.pattern_meter(print_, ink, paper, soft)
                 for soft in patches.SOFT
             ]
-        self.readings: list[Reading] = []
-        self.changes: list[BackgroundChange] = []
+        self.rows: list[Any] = []
         self._small: ndarray | None = None
 
     def step(self, frame: AnalysisFrame, shown: Sequence[Sighting]) -> None:
@@ -70,8 +65,8 @@ class LightReader:
             now = small_luma(frame.luma) if self._small is None else self._small
             self._small = small_luma(frame.following())
             change = background_change(now, self._small)
-            self.changes.append(BackgroundChange(frame.index + 1, change))
-        for s in detections(shown):
+            self.rows.append(BackgroundChange(frame.index + 1, change))
+        for s in (s.print for s in refined_in(LIGHT, shown)):
             box = Rect.around(s.corners_px, _AROUND_PX).clip(picture.rect)
             if box.empty:
                 continue
@@ -79,7 +74,7 @@ class LightReader:
             meter = patches.meter_for(self._meters[s.key], s.side_px, blur)
             quad_px, linear = s.corners_px - [box.x0, box.y0], picture.linear(box)
             cells = patches.read_print(linear, quad_px, meter, s.inverted, blur)
-            self.readings.append(Reading(frame.index, s.key, cells))
+            self.rows.append(Reading(frame.index, s.key, cells))
 
 
 def darkest(picture: Picture) -> ndarray:
@@ -96,10 +91,8 @@ def darkest(picture: Picture) -> ndarray:
 class SnapshotTaker:
     """Keeps small pictures, in linear light. frames : of the clip, about"""
 
-    tables: ClassVar[Mapping[str, type]] = {"snapshots": Snapshot}
-
     def __init__(self, frames: int) -> None:
-        self.snapshots: list[Snapshot] = []
+        self.rows: list[Snapshot] = []
         self._even = EvenFrames(frames, MOST_SNAPSHOTS, SURROUNDINGS_S)
 
     def step(self, frame: AnalysisFrame, _: Sequence[Sighting] = ()) -> None:
@@ -109,7 +102,7 @@ class SnapshotTaker:
         small = picture.reduced(SNAPSHOT_PX)
         if min(small.shape[:2]) >= 3:
             row = Snapshot(frame.index, small.astype(np.float16), darkest(picture))
-            self.snapshots.append(row)
+            self.rows.append(row)
 
 
 def environment_samples(

@@ -2,13 +2,11 @@
 
 Two errors are predicted: what scatters along a side (sigma_px), and what all of its samples
 share (shared_px). In which values edges are symmetric, light or code, is known once all of
-the clip is (`chosen_transfer`): where edges are not symmetric in light, corners are refined in
-code too. Leaves out: rolling shutter.
+the clip is (`search.choose_transfer`). Leaves out: rolling shutter.
 Source: docs/methods/pose.md#corners. Cost: about 1 ms a frame, and .3 ms a marker."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache
 from typing import NamedTuple
 
@@ -16,19 +14,16 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from arfx.analyse.markers.detect import Candidate, Detection, sides
+from arfx.analyse.markers.detect import sides
 from arfx.analyse.markers.edges import (
     FRACTIONS,
     SAMPLES,
     WINDOW_FRACTION,
     WINDOW_PX,
-    Edges,
     find_edges,
 )
-from arfx.analyse.markers.inner_edges import misplaced_px
 from arfx.core.camera import FISHEYE, Camera
 from arfx.core.colour import Transfer
-from arfx.core.marker_codes import cells_per_side
 from arfx.core.numerics import divide
 
 # OpenCV thresholds against a neighbourhood of up to 23 px: of a large marker it may report
@@ -50,16 +45,15 @@ _BLUR_CELLS, _NEXT_CELL = (
 )
 _EXACT = (3, 40, 1e-12)  # of an undistorted point: most rounds, and their last step
 _ROWS = np.array([[1, 0], [0, 1], [1, 1], [1, -1], [2, 1], [2, -1], [1, 2], [1, -2]])
+# Of the blur of a side: what is looked at (the rim and the margin are a cell wide), to each
+# side of an edge by standard deviations; a disc beyond a share of that is measured too large.
+_LEAST_HALF_PX, _HALF_CELLS, _MOST_HALF_PX = 2.0, 0.7, 24.0
+_WINDOWS, _LARGEST = 4.0, 0.25
+_CLEAR = 20.0  # light (of 255) across an edge whose blur is measured
+_ROUNDS = 2
 FAINT = 0.25  # light (of 255) across an edge below which it is taken for none
-MOST_PX = (
-    1e5  # of a corner from the picture's: those that are farther off make no sense
-)
 # from coded luma to the values in which corners are refined
 LIGHT, CODE = "srgb", "gamma:1"
-SIGHTINGS = 12  # by fewer than that nothing is decided
-# Measured: true linear blur gives skews up to .03 in light; camera-sharpened footage .19 in
-# light and -.03 in code.
-SKEWED = 0.07
 
 
 class Corners(NamedTuple):
@@ -108,14 +102,15 @@ def refine_corners(
     the bend of the sides
     The result depends on the image around the quads only, never on how they were found."""
     start = np.array(quads_px, float).reshape(-1, 4, 2)
-    sensible = (np.abs(start) < MOST_PX).all((1, 2)) & (min(luma.shape) > 1)
-    near = np.where(sensible[:, None, None], start, 0.0)
-    cell = cell_px(near, cells)
+    cell = cell_px(start, cells)
     half = np.clip(0.6 * cell, *HALF_PX)
     reach = np.clip(0.6 * cell, half, REACH_PX)
-    bend = _bend(near, camera)
-    edges = find_edges(luma, table, near, bend, (reach, half))
-    ok = _clear(near, edges, half, reach)
+    bend = _bend(start, camera)
+    edges = find_edges(luma, table, start, bend, (reach, half))
+    # was an edge found, of enough contrast, straight, and not some other one far away?
+    away = np.abs(edges.quad - start).max((1, 2))
+    ok = (away <= np.maximum(3.0, 1.5 * reach.max(1))) & (edges.gain.min(1) > FAINT)
+    ok &= edges.spread < half.max(1)
     # a corner is where two lines meet, each known at its end to about twice the error of its
     # mean
     sigma = np.maximum(2.0 * edges.spread / np.sqrt(SAMPLES), 0.01)
@@ -160,6 +155,21 @@ def shared_px(corners_px: ndarray, blur_px: ndarray, cells: ndarray) -> ndarray:
     )
 
 
+def side_blurs(
+    luma: ndarray, corners_px: ndarray, cells: ndarray, table: ndarray
+) -> ndarray:
+    """(n, 4) standard deviation, px, of the blur across each side (corner k to k + 1); NaN
+    where it cannot be measured. Arguments as of refine_corners, corners_px : (n, 4, 2)"""
+    half = _HALF_CELLS * cell_px(corners_px, cells)
+    half = far = np.clip(half, 1e-3, _MOST_HALF_PX)
+    straight = np.zeros((len(half), 4, SAMPLES, 2))
+    for _ in range(_ROUNDS):
+        edges = find_edges(luma, table, corners_px, straight, (far, far))
+        far = np.clip(_WINDOWS * edges.blurs, _LEAST_HALF_PX, half)
+    clear = (edges.blurs <= _LARGEST * half) & (edges.gain > _CLEAR)
+    return np.where(clear & (half >= _LEAST_HALF_PX), edges.blurs, np.nan)
+
+
 def cell_px(quad: ndarray, cells: ndarray) -> ndarray:
     """(n, 4) px from each side of quads (n, 4, 2) to the next line of cells; cells : (n,)
     along a side.
@@ -173,18 +183,10 @@ def cell_px(quad: ndarray, cells: ndarray) -> ndarray:
     return np.asarray(deep / np.reshape(cells, (-1, 1)))
 
 
-def _clear(start: ndarray, edges: Edges, half: ndarray, reach: ndarray) -> ndarray:
-    """(n,) Was an edge found, of enough contrast, straight, and not some other one far away?"""
-    away = np.abs(edges.quad - start).max((1, 2))
-    near = away <= np.maximum(3.0, 1.5 * reach.max(1))
-    return near & (edges.gain.min(1) > FAINT) & (edges.spread < half.max(1))
-
-
 def _bend(quad: ndarray, camera: Camera | None) -> ndarray:
     """(n, 4, SAMPLES, 2) px by which the image of a straight side leaves its chord."""
     if camera is None or not camera.distorted:
         return np.zeros((len(quad), 4, SAMPLES, 2))
-    focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
     fisheye = camera.model == FISHEYE
     undistort = cv2.fisheye.undistortPoints if fisheye else cv2.undistortPoints
     ideal = undistort(
@@ -196,46 +198,9 @@ def _bend(quad: ndarray, camera: Camera | None) -> ndarray:
     for _ in range(
         2
     ):  # where along the ideal side: the lens moves points along it, too
-        off = camera.distort(ideal[:, :, None] + share * side) * focal + centre - foot
+        there = ideal[:, :, None] + share * side
+        off = camera.project(np.insert(there, 2, 1.0, -1)) - foot
         along = divide((off * chord).sum(-1), (chord * chord).sum(-1))[..., None]
         share = share - along
     off -= along * chord
     return np.where(np.isfinite(off), off, 0.0)
-
-
-def symmetric_in_light(skew: float) -> bool:
-    """Whether an edge is, or cannot be told to be otherwise. skew : in light"""
-    return not abs(skew) > SKEWED
-
-
-def chosen_transfer(in_light: Sequence[float], in_code: Sequence[float]) -> str:
-    """LIGHT or CODE: in which edges are symmetric.
-
-    in_light : skew of all prints;  in_code : of those that are not symmetric in light"""
-    known, others = (
-        [s for s in skews if np.isfinite(s)] for skews in (in_light, in_code)
-    )
-    if len(known) < SIGHTINGS or not others:
-        return LIGHT
-    skew, other = (abs(float(np.median(skews))) for skews in (known, others))
-    return CODE if not symmetric_in_light(skew) and other < 0.5 * skew else LIGHT
-
-
-def refine_found(
-    luma: ndarray, found: Sequence[Candidate], transfer: str, camera: Camera
-) -> list[tuple[Detection, float]]:
-    """The prints that were found, refined in LIGHT or CODE, each with the skew of its edges,
-    as of `Corners`."""
-    if not found:
-        return []
-    quads, table = np.stack([c.quad_px for c in found]), linear_table(transfer)
-    cells = np.array([cells_per_side(c.family) for c in found])
-    r = refine_corners(luma, quads, cells, table, camera)
-    numbers = (a.tolist() for a in (r.sigma_px, r.blur_px, r.inverted, r.skew))
-    out = []
-    for c, quad, sigma, blur, inverted, skew in zip(
-        found, r.corners_px, *numbers, strict=True
-    ):
-        off = misplaced_px(luma, quad, c.family, c.id, inverted, table)
-        out.append((Detection(c.key, quad, sigma, blur, inverted, off), skew))
-    return out

@@ -10,7 +10,7 @@ threads).
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -64,6 +64,7 @@ class Detection(NamedTuple):
     blur_px : nan where unknown;  misplaced_px : by how much the cells between contradict
     the corners, root mean square
     misfit_px : of a pictured print, how far its texture lies from that of a flat print
+    side_blurs_px : (4,) of `side_blurs`, NaN where that is not measured
     """
 
     key: str
@@ -73,6 +74,7 @@ class Detection(NamedTuple):
     inverted: bool
     misplaced_px: float = 0.0
     misfit_px: float = 0.0
+    side_blurs_px: ndarray = np.full(4, np.nan)
 
     @property
     def quad_px(self) -> ndarray:
@@ -83,19 +85,12 @@ class Detection(NamedTuple):
         return float(sides(self.corners_px).mean())
 
 
-@dataclass(frozen=True, eq=False)
-class Record:
-    """One frame.
+class Record(NamedTuple):
+    """One frame. thumbnail : (18, 32) uint8, the whole picture"""
 
-    duplicates : further prints with a key that is in `detections` too
-    thumbnail : (18, 32) uint8, the whole picture
-    """
-
-    index: int
+    frame: int
     time_s: float
     detections: tuple[Detection, ...]
-    duplicates: tuple[Detection, ...]
-    whole: bool
     thumbnail: ndarray
 
 
@@ -109,7 +104,7 @@ class MarkerDetector:
     """One detector for a set of families: squares are looked for once. min_side_px : smaller
     ones are left out;  inverted : white on black is looked for too"""
 
-    families: Iterable[str]
+    families: Sequence[str]
     min_side_px: float = 9.0
     inverted: bool = True
 
@@ -127,19 +122,18 @@ class MarkerDetector:
         min_side_px : leave out what is smaller (of the image searched), beside what the
         detector leaves out anyway
         """
-        whole = Rect.of(luma.shape[1], luma.shape[0])
+        whole = Rect.of(*luma.shape[::-1])
         area = whole if rect is None else rect.clip(whole)
         if min(area.width, area.height) < 8:
             return []
         image = np.ascontiguousarray(luma[area.slices])
-        if factor > 1:
-            size = area.width // factor, area.height // factor
-            image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
         options = cv2.aruco.DetectorParameters()
         options.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
         options.detectInvertedMarker = self.inverted
         options.minDistanceToBorder = 1
         if factor > 1:
+            size = area.width // factor, area.height // factor
+            image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
             # A reduced image is searched to see whether there is something at all: one
             # threshold window finds the same markers as OpenCV's three (3, 13, 23 px) on
             # every real test clip, in less than half of the time.
@@ -147,8 +141,8 @@ class MarkerDetector:
             options.adaptiveThreshWinSizeMax = _REDUCED_WINDOW_PX
         least_px = max(self.min_side_px, min_side_px)
         options.minMarkerPerimeterRate = 4 * least_px / max(image.shape)
-        families = [*dict.fromkeys(self.families)]
-        detector = cv2.aruco.ArucoDetector([dictionary(f) for f in families], options)
+        every = [dictionary(family) for family in self.families]
+        detector = cv2.aruco.ArucoDetector(every, options)
         quads, ids, _, of = detector.detectMarkersMultiDict(image)
         if not quads:
             return []
@@ -156,7 +150,7 @@ class MarkerDetector:
         px = (np.array(quads, float).reshape(-1, 4, 2) + 0.5) * scale - 0.5
         px += [area.x0, area.y0]
         out = [
-            Candidate(families[int(family)], int(number), quad)
+            Candidate(self.families[int(family)], int(number), quad)
             for family, number, quad in zip(
                 np.ravel(of), np.ravel(ids), px, strict=True
             )

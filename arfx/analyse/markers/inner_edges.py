@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from arfx.core.marker_codes import cells_per_side, marker_cells
+from arfx.core.marker_codes import UNIT_SQUARE, cells_per_side, marker_cells
 from arfx.core.numerics import divide
 
 # cells, where a line between two cells is sampled, between the middles of both
@@ -49,7 +49,6 @@ def misplaced_px(
     corners_px: ndarray,
     family: str,
     number: int,
-    inverted: bool,
     table: ndarray,
 ) -> float:
     """Root mean square over the corners of how far they are from where the inner cells have
@@ -60,30 +59,25 @@ def misplaced_px(
     """
     cells = cells_per_side(family)
     middle, normal = _lines(family, number)
-    if len(middle) < LEAST_LINES or not np.isfinite(corners_px).all():
-        return 0.0
-    square = np.array([[0, 0], [cells, 0], [cells, cells], [0, cells]], np.float32)
-    h = cv2.getPerspectiveTransform(square, np.asarray(corners_px, np.float32))
+    square = cells * UNIT_SQUARE
+    h = cv2.getPerspectiveTransform(square, corners_px.astype(np.float32))
     at = middle[:, None] + _ACROSS[:, None] * normal[:, None]
     x, y = np.moveaxis(cv2.perspectiveTransform(at, h).astype(np.float32), -1, 0)
     read = cv2.remap(luma, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     light = table[read]
-    light = 255 - light if inverted else light
-    dark, bright = light[:, 0], light[:, -1]
-    contrast = bright - dark
-    clear = contrast > _LEAST_CONTRAST * np.median(contrast)
-    if clear.sum() < LEAST_LINES or np.median(contrast) <= 0:
+    first, last = light[:, 0], light[:, -1]
+    contrast = last - first  # below 0 of white on black
+    clear = divide(contrast, np.median(contrast)) > _LEAST_CONTRAST
+    normal = normal[clear]
+    if len(normal) < LEAST_LINES or np.abs(normal).sum(0).min() < LEAST_LINES // 3:
         return 0.0
     # of a line that is off by d the mean over -w to w is off by d / 2 w of the contrast
-    level = divide(light[:, 1:-1].mean(1) - (dark + bright) / 2, contrast)
-    off = -level * 2 * _REACH
-    plane = np.concatenate([np.ones((len(off), 1)), middle / cells - 0.5], 1)
-    ends = np.concatenate([np.ones((4, 1)), square / cells - 0.5], 1)
-    off, normal = off[clear], normal[clear]
-    if np.abs(normal).sum(0).min() < LEAST_LINES // 3:
-        return 0.0
+    level = divide(light[:, 1:-1].mean(1) - (first + last) / 2, contrast)
+    off = -level[clear] * 2 * _REACH
+    plane = np.insert(middle[clear] / cells - 0.5, 0, 1.0, 1)
+    ends = np.insert(square / cells - 0.5, 0, 1.0, 1)
     # a plane for what lies off along the rows, and one along the columns
-    design = (normal[:, :, None] * plane[clear][:, None]).reshape(-1, 6)
+    design = (normal[:, :, None] * plane[:, None]).reshape(-1, 6)
     weight = np.ones(len(off))
     for _ in range(3):  # what covers cells moves their lines too
         weighted = design.T * weight

@@ -7,15 +7,13 @@ of few bits turn up everywhere."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import cv2
 import numpy as np
 from numpy import ndarray
 
 from arfx.analyse.markers.detect import SCANNED_FAMILIES, Candidate, MarkerDetector
 from arfx.core.marker import FAMILIES, smallest_family
-from arfx.core.marker_codes import cells_per_side, marker_cells
+from arfx.core.marker_codes import UNIT_SQUARE, cells_per_side, marker_cells
 from arfx.core.numerics import divide
 
 # Numbers of the frames that are searched: all of a photo, few of a long clip.
@@ -40,11 +38,7 @@ def legible(luma: ndarray, seen: Candidate) -> tuple[bool, bool]:
     from scipy.special import bdtr
 
     n = cells_per_side(seen.family)
-    corners = (
-        SAMPLES
-        * np.array([[1, 1], [n + 1, 1], [n + 1, n + 1], [1, n + 1]], np.float32)
-        - 0.5
-    )
+    corners = SAMPLES * (1 + n * UNIT_SQUARE) - 0.5
     warp = cv2.getPerspectiveTransform(corners, seen.quad_px.astype(np.float32))
     side, flags = SAMPLES * (n + 2), cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     flat = cv2.warpPerspective(
@@ -74,17 +68,9 @@ def legible(luma: ndarray, seen: Candidate) -> tuple[bool, bool]:
     return sure or wrong == 0 or chance <= HOLDS, sure
 
 
-def scan(luma: ndarray) -> set[str]:
-    """Keys of the plain markers of all families in a picture (h, w) uint8."""
+def scan(luma: ndarray) -> list[str]:
+    """Keys of the plain markers of all families in a picture (h, w) uint8, of nested
+    dictionaries by the smallest."""
     seen = MarkerDetector(SCANNED_FAMILIES, MIN_SIDE_PX, inverted=False).search(luma)
-    return {c.key for c in seen if legible(luma, c)[1]}
-
-
-def likeliest(counts: Mapping[str, int]) -> list[str]:
-    """Keys seen, and how often: most often seen first; among equals the families that are
-    hardest to misread first.
-    """
-    return sorted(
-        counts,
-        key=lambda k: (-counts[k], SCANNED_FAMILIES.index(k.rsplit(":", 1)[0]), k),
-    )
+    plain = [c for c in seen if legible(luma, c)[1]]
+    return sorted({f"{smallest_family(c.family, c.id)}:{c.id}" for c in plain})

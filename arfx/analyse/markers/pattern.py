@@ -14,6 +14,7 @@ Source: docs/methods/pose.md#patterns. Cost (two threads): `align` 5 to 12 ms, `
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import cv2
@@ -24,6 +25,7 @@ from arfx.analyse.markers.detect import Detection, sides
 from arfx.analyse.markers.texture import even_contrast, follow
 from arfx.core.camera import FISHEYE, Camera
 from arfx.core.colour import SRGB
+from arfx.core.marker_codes import UNIT_SQUARE
 from arfx.core.numerics import divide
 from arfx.errors import ConfigError, InputError
 
@@ -50,9 +52,6 @@ _REACH = 3  # further halvings of the images for a homography that is only about
 # levels coarser; factor on the deviation there: neighbouring corners err alike under blur
 _BLURRED, _SHARED = 2, 2.0
 _RETURN_PX, _AGREE_PX = 0.7, 2.0  # there and back; and to a homography at first
-_CORNERS = np.array(
-    [[0.0, 0], [1, 0], [1, 1], [0, 1]]
-)  # order of MarkerSpec.corners_m
 _SCALES = (0.7, 0.35, 0.18)  # of the picture whose features are matched
 # degrees: prints are square, or logos of up to six-fold symmetry; 270 is 90 seen from the other
 _TURNS = (180, 120, 90, 72)
@@ -105,16 +104,16 @@ class PatternPicture:
                 "a picture with detail all over it",
             )
 
-    def find(self, features: Features, camera: Camera) -> ndarray | None:
-        """ideal_from_unit by matching features, right to some pixels; None where too few agree."""
+    def find(self, features: Features, camera: Camera) -> list[ndarray]:
+        """ideal_from_unit by matching features, right to some pixels, if enough agree."""
         if len(features.descriptors) < LEAST_MATCHES:
-            return None
+            return []
         pairs = cv2.BFMatcher().knnMatch(self._descriptors, features.descriptors, 2)
         good = [m for m, second in pairs if m.distance < RATIO * second.distance]
         ideal = camera.normalised(features.pixels[[m.trainIdx for m in good]])
         known = np.isfinite(ideal).all(1)
         if known.sum() < LEAST_MATCHES:
-            return None
+            return []
         # in pixels: USAC fails on numbers of the size of its thresholds' rounding
         unit = self._units[[m.queryIdx for m in good]][known] * BASE_PX
         px = ideal[known] * camera.fx
@@ -122,27 +121,28 @@ class PatternPicture:
             unit, px, cv2.USAC_MAGSAC, 3 * features.px, maxIters=5000
         )
         if h is None or int(inside.sum()) < LEAST_MATCHES:
-            return None
+            return []
         pixel, base = 1 / camera.fx, float(BASE_PX)
-        return h * np.outer([pixel, pixel, 1], [base, base, 1])
+        return [h * np.outer([pixel, pixel, 1], [base, base, 1])]
 
     def align(
-        self, luma: ndarray, camera: Camera, ideal_from_unit: ndarray
-    ) -> tuple[Detection, float] | None:
-        """The print where it is, from where it is about, and the share of its corners in view
-        that agree; None where it is not there.
+        self, luma: ndarray, camera: Camera, abouts: Iterable[ndarray]
+    ) -> list[Detection]:
+        """The print, if it is there. abouts : ideal_from_unit of where it is about, the first
+        that leads to it counts
 
         By the coarsest level that is hardly coarser than the print in the frame; where the
         print is blurred, by one of half its size."""
-        side = 0.9 * sides(_pixels(camera, ideal_from_unit, _CORNERS)).max()
-        finest = sum(max(level.even.shape) >= side for level in self.levels)
-        levels = self.levels[max(finest - 1, 0) :: _BLURRED]
-        for level, factor in zip(levels, (1.0, _SHARED), strict=False):
-            found = _followed(level, luma, camera, ideal_from_unit)
-            there = found and _aligned(self.name, camera, found)
-            if found and there and factor * there.sigma_px <= MOST_SIGMA_PX:
-                return there._replace(sigma_px=factor * there.sigma_px), found.share
-        return None
+        for about in abouts:
+            side = 0.9 * sides(_pixels(camera, about, UNIT_SQUARE)).max()
+            finest = sum(max(level.even.shape) >= side for level in self.levels)
+            levels = self.levels[max(finest - 1, 0) :: _BLURRED]
+            for level, factor in zip(levels, (1.0, _SHARED), strict=False):
+                found = _followed(level, luma, camera, about)
+                there = found and _aligned(self.name, camera, found, factor)
+                if there:
+                    return [there]
+        return []
 
 
 def check_turned(name: str, luma: ndarray) -> None:
@@ -153,14 +153,15 @@ def check_turned(name: str, luma: ndarray) -> None:
     A print that is its own mirror image passes: its front is never seen mirrored. Two
     mirror lines are a turn by 180 degrees."""
     picture = PatternPicture(name, luma)
-    h, w = picture.levels[0].even.shape
+    finest = picture.levels[0]
+    h, w = finest.even.shape
     luma, camera = _resized(luma, max(w, h)), Camera.guess(w, h)
-    ideal_from_unit = homography_of(camera.normalised(_CORNERS * [w, h] - 0.5))
+    ideal_from_unit = homography_of(camera.normalised(UNIT_SQUARE * [w, h] - 0.5))
     for degrees in _TURNS:
         m = cv2.getRotationMatrix2D(((w - 1) / 2, (h - 1) / 2), degrees, 1)
         turned = cv2.warpAffine(luma, m, (w, h), borderMode=cv2.BORDER_REPLICATE)
-        there = picture.align(turned, camera, ideal_from_unit)
-        if there and there[1] >= _SAME:
+        found = _followed(finest, turned, camera, ideal_from_unit)
+        if found and found.share >= _SAME:
             raise ConfigError(
                 f"pattern {name} looks the same when it is turned by {degrees} degrees: its"
                 " pose would be a guess",
@@ -183,11 +184,8 @@ def frame_features(luma: ndarray, most_px: float) -> Features:
     """SIFT features of a frame, reduced to about `most_px` pixels where it has more."""
     h, w = luma.shape
     px = max(float(np.sqrt(h * w / most_px)), 1.0)
-    size = max(round(w / px), 1), max(round(h / px), 1)
     finder = cv2.SIFT.create(FRAME_FEATURES, contrastThreshold=_FAINT)
-    units, descriptors = _found(
-        finder, cv2.resize(luma, size, interpolation=cv2.INTER_AREA)
-    )
+    units, descriptors = _found(finder, _resized(luma, max(w, h) / px))
     return Features(units * [w, h] - 0.5, descriptors, px)
 
 
@@ -231,9 +229,7 @@ def plausible(quad: ndarray) -> bool:
 
 def homography_of(quad: ndarray) -> ndarray:
     """(3, 3) from the unit square to a quad (4, 2)."""
-    return cv2.getPerspectiveTransform(
-        _CORNERS.astype(np.float32), quad.astype(np.float32)
-    )
+    return cv2.getPerspectiveTransform(UNIT_SQUARE, quad.astype(np.float32))
 
 
 def coded_luma(linear: ndarray, ink: float, paper: float) -> ndarray:
@@ -264,14 +260,14 @@ def _level(image: ndarray) -> Level:
 
 
 def _mapped(h: ndarray, xy: ndarray) -> ndarray:
-    """Points (n, 2) under homographies (..., 3, 3); NaN on and beyond a horizon."""
-    p = np.concatenate([xy, np.ones((len(xy), 1))], 1) @ np.swapaxes(h, -1, -2)
-    return np.where(p[..., 2:] > 1e-9, divide(p[..., :2], p[..., 2:]), np.nan)
+    """Points (n, 2) under a homography; NaN on and beyond a horizon."""
+    p = np.concatenate([xy, np.ones((len(xy), 1))], 1) @ h.T
+    return np.where(p[:, 2:] > 1e-9, divide(p[:, :2], p[:, 2:]), np.nan)
 
 
 def _pixels(camera: Camera, ideal_from_unit: ndarray, unit: ndarray) -> ndarray:
     ideal = _mapped(ideal_from_unit, unit)
-    return camera.project(np.concatenate([ideal, np.ones_like(ideal[..., :1])], -1))
+    return camera.project(np.concatenate([ideal, np.ones((len(unit), 1))], 1))
 
 
 class _Followed(NamedTuple):
@@ -303,7 +299,7 @@ def _followed(
     for reach in (_REACH, 0):
         cut = ideal_from_unit @ level.unit_from_level
         quad, at = (
-            _pixels(camera, ideal_from_unit, _CORNERS),
+            _pixels(camera, ideal_from_unit, UNIT_SQUARE),
             _pixels(camera, cut, level.points),
         )
         there = (at > 2).all(1) & (at < np.subtract(luma.shape[::-1], 3)).all(1)
@@ -336,8 +332,11 @@ def _followed(
     return _Followed(cut, ideal_from_unit, units, b, agree.ravel() > 0, share)
 
 
-def _aligned(name: str, camera: Camera, found: _Followed) -> Detection | None:
-    """By robust least squares; None for a quad that no print can show."""
+def _aligned(
+    name: str, camera: Camera, found: _Followed, factor: float
+) -> Detection | None:
+    """By robust least squares; None for a quad that no print can show, or one that is not
+    known well. factor : on its deviation"""
     from scipy.optimize import approx_fprime, least_squares
 
     level_from_ideal = np.linalg.inv(found.cut)
@@ -352,7 +351,7 @@ def _aligned(name: str, camera: Camera, found: _Followed) -> Detection | None:
         return (there - found.moved)[found.agree].ravel()
 
     def corners_by(change: ndarray) -> ndarray:
-        return _pixels(camera, changed(change), _CORNERS).ravel()
+        return _pixels(camera, changed(change), UNIT_SQUARE).ravel()
 
     first = missed_by(np.zeros(8))
     if not np.isfinite(first).all():
@@ -362,14 +361,14 @@ def _aligned(name: str, camera: Camera, found: _Followed) -> Detection | None:
         missed_by, np.zeros(8), loss="arctan", f_scale=worn, ftol=1e-5
     )
     corners = corners_by(fit.x).reshape(4, 2)
-    if not plausible(corners):
-        return None
     slope = approx_fprime(fit.x, corners_by, _STEP) @ np.linalg.pinv(fit.jac)
     sigma = _ALIKE * _deviation(fit.fun) * float(np.sqrt((slope**2).sum() / 8))
+    if not plausible(corners) or not factor * sigma <= MOST_SIGMA_PX:
+        return None
     off = _pixels(camera, changed(fit.x), found.units)
     off -= _pixels(camera, found.cut, found.moved)
     misfit = float(np.sqrt((off**2).sum(1).mean()))
-    return Detection(name, corners, sigma, np.nan, False, misfit_px=misfit)
+    return Detection(name, corners, factor * sigma, np.nan, False, misfit_px=misfit)
 
 
 def _deviation(residuals: ndarray) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy import ndarray
 
 from arfx.analyse.motion.flow import (
+    BORDER,
     GRID_PX,
     MotionStep,
     node_positions,
@@ -44,21 +45,22 @@ def with_advection(
     """The facts with `advection`.
 
     steps : of BackgroundMotion, of the same frames;  reach_m : around the anchor's origin
-    on its plane the poses are
-    believed more than the flow, up to this far, and less and less up to twice as far; 0 = flow only
+    on its plane the poses are believed more than the flow, up to this far, and less and less
+    up to twice as far
     """
-    by_index = {s.index: s for s in steps}
+    by_index = {s.frame: s for s in steps}
     nodes = node_positions(camera.width, camera.height)
-    rays = camera.directions(nodes) if reach_m > 0 else None
-    number, key, then, shot, out = 0, nodes, None, None, []
+    rays = camera.directions(nodes)
+    number, shot, key, then, out = -1, None, nodes, None, []
     last_back: Any = 0.0
     detail = np.zeros((*nodes.shape[:2], 1))
-    unknown = MotionStep(-1, None, True, detail[..., 0])
     for f in facts:
-        step = by_index.get(f.index, unknown)
-        begins = f.shot != shot
-        if begins or step is not unknown:
-            number += shot is not None
+        step, begins = by_index.get(f.index), f.shot != shot
+        if begins or step:
+            number, shot = number + 1, f.shot
+            step = step or MotionStep(
+                f.index, None, True, np.zeros_like(detail[..., 0])
+            )
             pose = f.camera_from_world
             now = None if pose is None else pose @ world_from_anchor
             back = None if begins else step.back
@@ -66,7 +68,7 @@ def with_advection(
             if back is None:
                 field = nodes + np.array([_NEW_SHOT_PX * number, 0.0])
             else:
-                if rays is not None and now is not None and then is not None:
+                if now is not None and then is not None:
                     back = _with_pose(back, nodes, rays, now, then, camera, reach_m)
                 field = relaxed(_sampled(key, nodes + back, nodes))
                 # carried along with the things, a little of what is seen now each time
@@ -81,18 +83,15 @@ def with_advection(
                     # a cut that the flow did not notice: the key frame's nodes lie where
                     # this frame's flow says
                     key, then = _sampled(field, nodes - step.back, nodes), None
-            x, y = nodes[0, 0].astype(int).tolist()
-            rows, columns, _ = nodes.shape
             made = AdvectionField(
                 number,
                 GRID_PX,
-                (x, y),
-                (rows, columns),
+                (-BORDER * GRID_PX, -BORDER * GRID_PX),
+                nodes.shape[:2],
                 pack_positions(*np.moveaxis(field, -1, 0)),
                 pack_detail(detail[..., 0]),
                 pose,
             )
-        shot = f.shot
         out.append(f.with_(advection=made))
     return tuple(out)
 

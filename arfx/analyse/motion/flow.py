@@ -11,10 +11,10 @@ blur of 1280 x 720) a frame.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
 from functools import cache
-from typing import ClassVar, NamedTuple
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -58,8 +58,7 @@ _MOST_PX = 0.3  # of the small picture
 _RIM_PX = 3  # the interpolation and the band need that much around a pixel
 
 
-@dataclass(frozen=True, eq=False)
-class MotionStep:
+class MotionStep(NamedTuple):
     """A frame at which a new epoch of advection begins. back (gh, gw, 2) float32 : what its
     nodes must be moved by, px of the frame, to lie where they lay in the last key frame;
     None : nothing is known (first frame, or all is new)
@@ -67,21 +66,23 @@ class MotionStep:
     detail (gh, gw) uint8 : how much there is to see around the nodes, 0 = even, 255 = edges
     everywhere"""
 
-    index: int
+    frame: int
     back: ndarray | None
     key: bool
     detail: ndarray
 
 
-def node_positions(width: int, height: int) -> ndarray:
-    """(gh, gw, 2) x, y px of the nodes: every GRID_PX, and BORDER of them outside on each
-    side.
-    """
-    x, y = (
-        (np.arange(-(-size // GRID_PX) + 1 + 2 * BORDER) - BORDER) * float(GRID_PX)
-        for size in (width, height)
+def nodes_along(length: int) -> ndarray:
+    """(n,) px of the nodes along a side of the picture: every GRID_PX, and BORDER of them
+    outside at each end."""
+    return (np.arange(-(-length // GRID_PX) + 1 + 2 * BORDER) - BORDER) * float(
+        GRID_PX
     )
-    return np.stack(np.meshgrid(x, y), -1)
+
+
+def node_positions(width: int, height: int) -> ndarray:
+    """(gh, gw, 2) x, y px of the nodes."""
+    return np.stack(np.meshgrid(nodes_along(width), nodes_along(height)), -1)
 
 
 class KeyPicture(NamedTuple):
@@ -94,15 +95,16 @@ class KeyPicture(NamedTuple):
     height: int
     begins: bool
 
+    def hats(self) -> tuple[ndarray, ndarray]:
+        """(h, gh) and (w, gw) : share of each node in the linear interpolation at every pixel
+        of the picture."""
+        h, w = self.picture.shape
+        return _hats(self.height, h), _hats(self.width, w)
+
 
 class BackgroundMotion:
     """Collects MotionSteps of a part of the clip, in order, and the pictures that it is
     compared with those beside it by."""
-
-    tables: ClassVar[Mapping[str, type]] = {
-        "steps": MotionStep,
-        "key_pictures": KeyPicture,
-    }
 
     def __init__(self) -> None:
         self.steps: list[MotionStep] = []
@@ -110,15 +112,19 @@ class BackgroundMotion:
         # back of the last epoch, 0 where that is the key
         self._last: ndarray | float = 0.0
 
+    @property
+    def rows(self) -> list[Any]:
+        return [*self.steps, *self.key_pictures]
+
     def step(self, frame: AnalysisFrame, _: Sequence[Sighting] = ()) -> None:
-        index, luma = frame.index, frame.luma
-        h, w = luma.shape
+        h, w = frame.luma.shape
         factor = max(w / WIDTH_PX, 1.0)
-        small_size = (max(round(w / factor), 1), max(round(h / factor), 1))
-        small = cv2.resize(luma, small_size, interpolation=cv2.INTER_AREA)
+        size = (max(round(w / factor), 1), max(round(h / factor), 1))
+        small = cv2.resize(frame.luma, size, interpolation=cv2.INTER_AREA)
+        now = KeyPicture(frame.index, small, w, h, not self.key_pictures)
         back, agreed, far = None, 0.0, True
         if self.key_pictures:
-            back, agreed = _back(small, self.key_pictures[-1].picture, w, h)
+            back, agreed = _back(now, self.key_pictures[-1].picture)
         if back is not None:
             inside = (slice(BORDER, -BORDER),) * 2
             moved = np.linalg.norm((back - self._last)[inside], axis=-1)
@@ -126,11 +132,10 @@ class BackgroundMotion:
                 return
             way = float(np.median(np.linalg.norm(back[inside], axis=-1)))
             far = way > KEY_FRACTION * w or agreed < _CHANGED
-        self.steps.append(MotionStep(index, back, far, _detail(small, w, h)))
+        self.steps.append(MotionStep(frame.index, back, far, _detail(now)))
         self._last = 0.0 if far or back is None else back
         if far:
-            begins = not self.key_pictures
-            self.key_pictures[1:] = [KeyPicture(index, small, w, h, begins)]
+            self.key_pictures[1:] = [now]
 
 
 def joined_steps(
@@ -138,23 +143,22 @@ def joined_steps(
 ) -> list[MotionStep]:
     """Of all stretches: the first frame of each, a key frame, is compared with the last key
     frame before it."""
-    before, backs = None, {}
-    for picture in pictures:
-        if picture.begins and before is not None:
-            found = _back(picture.picture, before, picture.width, picture.height)
-            backs[picture.frame] = found[0]
-        before = picture.picture
-    return [replace(s, back=backs.get(s.index, s.back)) for s in steps]
+    backs = {
+        later.frame: _back(later, before.picture)[0]
+        for before, later in pairwise(pictures)
+        if later.begins
+    }
+    return [s._replace(back=backs.get(s.frame, s.back)) for s in steps]
 
 
-def _back(
-    small: ndarray, reference: ndarray, width: int, height: int
-) -> tuple[ndarray | None, float]:
+def _back(now: KeyPicture, reference: ndarray) -> tuple[ndarray | None, float]:
     """((gh, gw, 2) px of the frame at the nodes, None where the two frames have nothing in
     common; share of the textured places where both directions agree)"""
+    small, hats = now.picture, now.hats()
     h, w = small.shape
     if min(h, w) < 16 or np.array_equal(small, reference):  # DIS needs a patch or two
-        return np.zeros(node_positions(width, height).shape, np.float32), 1.0
+        rows, columns = hats
+        return np.zeros((rows.shape[1], columns.shape[1], 2), np.float32), 1.0
     dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_FAST)  # type: ignore[attr-defined]
     dis.setFinestScale(0)
     # refinement takes a third of the time; `refined` does more
@@ -180,8 +184,8 @@ def _back(
     trust = np.where(agree, slope**2 / (slope**2 + _GRADIENT**2), 0).astype(
         np.float32
     )
-    scale, hats = np.array([width / w, height / h]), _hats(width, height, w, h)
-    places = (node_positions(width, height) + 0.5) / scale - 0.5
+    scale = np.array([now.width / w, now.height / h])
+    places = (node_positions(now.width, now.height) + 0.5) / scale - 0.5
     rough = _at_nodes(back, trust, hats, places / [w, h])
     back = refined(rough, small, reference, trust > 0, hats) * scale
     back = np.clip(back, -_FARTHEST_PX, _FARTHEST_PX)
@@ -196,20 +200,11 @@ def _slope(small: ndarray) -> ndarray:
 
 
 @cache
-def _hats(width: int, height: int, w: int, h: int) -> tuple[ndarray, ndarray]:
-    """(h, gh) and (w, gw) : share of each node in the linear interpolation at every pixel of
-    the small frame."""
-    nodes = node_positions(width, height)
-    rows, columns = (
-        np.maximum(1 - np.abs(pixels[:, None] - places) / GRID_PX, 0).astype(
-            np.float32
-        )
-        for pixels, places in (
-            ((np.arange(h) + 0.5) * height / h - 0.5, nodes[:, 0, 1]),
-            ((np.arange(w) + 0.5) * width / w - 0.5, nodes[0, :, 0]),
-        )
-    )
-    return rows, columns
+def _hats(length: int, small: int) -> ndarray:
+    """(small, n) of one side, as of `KeyPicture.hats`."""
+    pixels = (np.arange(small) + 0.5) * length / small - 0.5
+    away = np.abs(pixels[:, None] - nodes_along(length))
+    return np.maximum(1 - away / GRID_PX, 0).astype(np.float32)
 
 
 def _node_sums(hats: tuple[ndarray, ndarray], *terms: ndarray) -> ndarray:
@@ -258,13 +253,12 @@ def _at_nodes(
     return motion[0] + places @ motion[1:] + sums[..., :2] / (sums[..., 2:] + 1)
 
 
-def _detail(small: ndarray, width: int, height: int) -> ndarray:
+def _detail(now: KeyPicture) -> ndarray:
     """(gh, gw) uint8: mean slope of the small frame around each node, as a share of _STEEP;
     slopes of noise count nothing.
     """
-    density = np.clip((_slope(small) - _NOISE) / (_STEEP - _NOISE), 0, 1)
-    hats = _hats(width, height, *small.shape[::-1])
-    sums = _node_sums(hats, density, np.ones_like(density))
+    density = np.clip((_slope(now.picture) - _NOISE) / (_STEEP - _NOISE), 0, 1)
+    sums = _node_sums(now.hats(), density, np.ones_like(density))
     slopes, pixels = np.moveaxis(_around(sums, _DETAIL_NODES), -1, 0)
     return np.round(255 * divide(slopes, pixels)).astype(np.uint8)
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -50,7 +50,7 @@ _BACK_PX = 0.3  # from its start, in the reduced image: a corner that came back
 _MIN_POINTS = 6
 
 
-class Snapshot(NamedTuple):
+class RestPicture(NamedTuple):
     """A reduced picture. frame : its number;  luma : (h, w) uint8
     corners : (h, w) uint8, 0 where none is taken;  pixel_px : clip px in one of its own"""
 
@@ -60,7 +60,9 @@ class Snapshot(NamedTuple):
     pixel_px: int
 
 
-def snapshot(frame: AnalysisFrame, markers: Iterable[Rect] | None = None) -> Snapshot:
+def snapshot(
+    frame: AnalysisFrame, markers: Iterable[Rect] | None = None
+) -> RestPicture:
     """markers : no corners there; without them those that stand out of noise are taken"""
     height, width = frame.luma.shape
     factor = max(1, width // WIDTH_PX)
@@ -72,10 +74,10 @@ def snapshot(frame: AnalysisFrame, markers: Iterable[Rect] | None = None) -> Sna
         r = r.pad(max(r.width, r.height) // 3)
         rows = slice(max(r.y0 // factor, 0), r.y1 // factor + 1)
         corners[rows, max(r.x0 // factor, 0) : r.x1 // factor + 1] = 0
-    return Snapshot(frame.index, small, corners, factor)
+    return RestPicture(frame.index, small, corners, factor)
 
 
-def follow(first: Snapshot, second: Snapshot) -> tuple[ndarray, ndarray]:
+def follow(first: RestPicture, second: RestPicture) -> tuple[ndarray, ndarray]:
     """Places (n, 2), (n, 2) of the first one's corners in both, clip px; NaN in the second
     where they are lost.
     """
@@ -108,11 +110,9 @@ class FlowSample:
 class BackgroundFlow:
     """Follows corners of the background. frames : of the clip, about"""
 
-    tables: ClassVar[Mapping[str, type]] = {"background": FlowSample}
-
     def __init__(self, frames: int) -> None:
-        self.background: list[FlowSample] = []
-        self._before: Snapshot | None = None
+        self.rows: list[FlowSample] = []
+        self._before: RestPicture | None = None
         self._time_s = -np.inf
         self._even = EvenFrames(frames, MAX_SAMPLES, 0.0)
 
@@ -132,7 +132,7 @@ class BackgroundFlow:
             if len(here) >= _MIN_POINTS:
                 later = now.frame - before.frame
                 row = FlowSample(before.frame, later, now.pixel_px, here, there)
-                self.background.append(row)
+                self.rows.append(row)
 
 
 def decide_static(
@@ -207,14 +207,9 @@ class RestMotion(NamedTuple):
 class RestCheck:
     """Compares pictures of a part of the clip with its first one."""
 
-    tables: ClassVar[Mapping[str, type]] = {
-        "rest_pictures": Snapshot,
-        "rest_motions": RestMotion,
-    }
-
     def __init__(self) -> None:
-        self.rest_pictures: list[Snapshot] = []
-        self.rest_motions: list[RestMotion] = []
+        self.rows: list[Any] = []
+        self._first: RestPicture | None = None
         self._next_s = -np.inf
 
     def step(self, frame: AnalysisFrame, _: Sequence[Sighting] = ()) -> None:
@@ -222,14 +217,12 @@ class RestCheck:
             return
         self._next_s = frame.time_s + INTERVAL_S
         now = snapshot(frame)
-        if self.rest_pictures:
-            self.rest_motions.append(_motion(self.rest_pictures[0], now))
-        else:
-            self.rest_pictures.append(now)
+        first, self._first = self._first, self._first or now
+        self.rows.append(_motion(first, now) if first else now)
 
 
 def rests(
-    pictures: Sequence[Snapshot], motions: Sequence[RestMotion]
+    pictures: Sequence[RestPicture], motions: Sequence[RestMotion]
 ) -> tuple[bool, float]:
     """(whether the camera stands still, the farthest that the middle corner was seen from its
     place, clip px): of `RestCheck`, each part against its own first picture, and these against
@@ -238,7 +231,7 @@ def rests(
     return all(m.rests for m in every), max((m.moved_px for m in every), default=0.0)
 
 
-def _motion(first: Snapshot, now: Snapshot) -> RestMotion:
+def _motion(first: RestPicture, now: RestPicture) -> RestMotion:
     here, there = follow(first, now)
     away = np.linalg.norm(there - here, axis=1)
     # a corner that is lost may have left the picture; without any nothing could tell

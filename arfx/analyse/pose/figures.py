@@ -33,7 +33,6 @@ def figures(
         "shots": facts[-1].shot + 1,
         "cuts": [b.index for a, b in pairwise(facts) if a.shot != b.shot],
         "flips_resolved": 0,
-        "whole_frame_searches": sum(f.whole_frame_search for f in facts),
         "reprojection_px": {"raw": quantiles([]), "smoothed": quantiles([])},
         "pose_condition": quantiles([]),
         "sigma_px": quantiles([m.sigma_px for f in facts for m in f.markers]),

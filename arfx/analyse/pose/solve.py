@@ -88,7 +88,7 @@ def solve_poses(
         blur = [s.blur_px for s in r.detections if np.isfinite(s.blur_px)]
         facts.append(
             FrameFacts(
-                r.index,
+                r.frame,
                 r.time_s,
                 int(shot[k]),
                 status[k],
@@ -98,7 +98,6 @@ def solve_poses(
                 float(smooth_px[k]) if on[k] else None,
                 float(opacity[k]),
                 tuple(sightings.facts[k]),
-                r.whole,
                 blur_px=float(median(blur)) if blur else None,
             )
         )
@@ -111,7 +110,6 @@ def solve_poses(
             if f.camera_from_world is not None
         }
         static, evidence = decide_static(flow, poses, camera)
-    again = [s.key for r in records for s in r.duplicates]
     summary = figures(
         facts,
         keys,
@@ -122,7 +120,6 @@ def solve_poses(
         pose_condition=quantiles(_conditions(path)),
         flips_resolved=path.flips,
         sigma_factor=sightings.sigma_factor,
-        duplicates=len(again),
         dropped=path.dropped,
         static_evidence=evidence,
         map={"given": marker_map is not None, **layout.to_json()},
@@ -134,7 +131,7 @@ def solve_poses(
         layout.world_from_marker,
         static,
         summary,
-        _notices(summary, again, len(every) - len(present), usual_px),
+        _notices(summary, len(every) - len(present), usual_px),
         anchor_marker(markers, layout.world_from_marker),
     )
 
@@ -196,9 +193,8 @@ def _conditions(path: WorldPath) -> ndarray:
 
 
 def _notices(
-    summary: Mapping[str, Any], again: Sequence[str], flickers: int, usual_px: float
+    summary: Mapping[str, Any], flickers: int, usual_px: float
 ) -> tuple[str, ...]:
-    """again : keys of prints that were there twice, one each time"""
     unmapped, dropped = summary["map"]["unmapped"], summary["dropped"]
     bridged = summary["frames_interpolated"]
     misfit_px = summary["reprojection_px"]["raw"]["median"] or 0.0
@@ -209,11 +205,6 @@ def _notices(
             f" {', '.join(unmapped)}",
         ),
         (flickers, f"{flickers} sightings of only one or two frames are not shown"),
-        (
-            again,
-            f"two prints of the same id in a frame ({', '.join(sorted({*again}))},"
-            f" {len(again)} times): the one that moves on from the frame before is followed",
-        ),
         (
             dropped,
             f"{dropped} sightings contradict the other markers of their frame and"

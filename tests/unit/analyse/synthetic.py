@@ -63,7 +63,7 @@ def records(
             if px is not None and visible(k, m):
                 sigma = max(claimed_px if claimed_px is not None else noise_px, 0.01)
                 seen.append(Detection(m.key, px + noise, sigma, 0.8, False))
-        out.append(Record(k, float(t), tuple(seen), (), False, THUMBNAIL))
+        out.append(Record(k, float(t), tuple(seen), THUMBNAIL))
     return out
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from arfx.analyse.job import Analysis, AnalysisFrame, AnalysisJob
-from arfx.analyse.lens import lens_from_blur, side_blurs
+from arfx.analyse.lens import lens_from_blur
+from arfx.analyse.markers.corners import side_blurs
 from arfx.core.colour import SRGB
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from tests.clips import MARKER, clip_camera, picture
@@ -119,7 +120,8 @@ def test_blur_of_a_disc_is_half_its_radius(radius: float, tilt_deg: float) -> No
     )
     corners = CAMERA.project(pose.apply(MARKER.corners_m))
     table = (255 * SRGB.decode(np.arange(256) / 255)).astype(np.float32)
-    blur = side_blurs(blurred(pose, radius, 0), corners, 8, table)
+    seen = blurred(pose, radius, 0)
+    (blur,) = side_blurs(seen, corners[None], np.array([8]), table)
     np.testing.assert_allclose(
         blur, np.sqrt(radius**2 / 4 + 0.55**2), rtol=0.08, atol=0.03
     )

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from arfx.analyse.tables import by_columns, from_bytes, rows_of, to_bytes
+from arfx.analyse.tables import from_bytes, rows_of, tables_of, to_bytes
 from tests.exact import identical
 
 
@@ -17,6 +17,10 @@ from tests.exact import identical
 class Inner:
     name: str
     grid: np.ndarray
+
+
+class Other(NamedTuple):
+    frame: int
 
 
 class Row(NamedTuple):
@@ -47,26 +51,24 @@ def same(a: Row, b: Row) -> bool:
 
 
 def test_rows_come_back_as_they_were() -> None:
-    kept = from_bytes(to_bytes({"things/rows": by_columns(ROWS, Row)}))
-    again = rows_of(kept["things/rows"], Row)
+    kept = from_bytes(to_bytes(tables_of([*ROWS, Other(3)])))
+    again = rows_of(kept, Row)
     assert len(again) == 3 and all(map(same, again, ROWS))
-    assert rows_of(by_columns([], Row), Row, 7) == []
+    assert rows_of(kept, Other) == [Other(3)] and rows_of({}, Row, 7) == []
 
 
 def test_frames_are_counted_on() -> None:
-    columns = by_columns(ROWS, Row)
-    assert [r.frame for r in rows_of(columns, Row, 7)] == [7, 9, 12]
-    assert [r.level for r in rows_of(columns, Row, 7)] == [r.level for r in ROWS]
+    tables = tables_of(ROWS)
+    assert [r.frame for r in rows_of(tables, Row, 7)] == [7, 9, 12]
+    assert [r.level for r in rows_of(tables, Row, 7)] == [r.level for r in ROWS]
 
 
 def test_equal_rows_give_equal_bytes() -> None:
-    assert to_bytes({"a": by_columns(ROWS, Row)}) == to_bytes(
-        {"a": by_columns(ROWS, Row)}
-    )
+    assert to_bytes(tables_of(ROWS)) == to_bytes(tables_of(ROWS))
 
 
 def test_every_damage_is_seen() -> None:
-    good = to_bytes({"a": by_columns(ROWS, Row)})
+    good = to_bytes(tables_of(ROWS))
     bad = [good[:n] for n in (0, 1, 100, len(good) - 1)] + [good + b"\0"]
     bad += [bytes([*good[:i], good[i] ^ 1, *good[i + 1 :]]) for i in range(len(good))]
     for data in bad:

@@ -417,9 +417,9 @@ def test_the_meter_reads_every_frame_and_looks_around_now_and_then() -> None:
     )
     for k in range(6):
         frame = AnalysisFrame(k, k * 0.3, np.zeros((48, 64), np.uint8), Grey())
-        whole.step(frame, [Sighting(k, ANY, False, 0.0, s) for s in seen])
+        whole.step(frame, [Sighting(k, ANY, 0.0, s) for s in seen])
         taker.step(frame)
-    assert len(whole.readings) == 6 and len(taker.snapshots) == 3  # looks every .5 s
+    assert len(whole.rows) == 6 and len(taker.rows) == 3  # looks every .5 s
 
 
 @pytest.mark.parametrize(

@@ -6,17 +6,16 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.markers.corners import (
-    CODE,
-    LIGHT,
-    SIGHTINGS,
-    chosen_transfer,
-    linear_table,
-    refine_corners,
-    refine_found,
-    symmetric_in_light,
-)
+from arfx.analyse.job import AnalysisFrame, AnalysisJob
+from arfx.analyse.markers.corners import CODE, LIGHT, linear_table, refine_corners
 from arfx.analyse.markers.detect import Candidate, MarkerDetector
+from arfx.analyse.markers.search import (
+    ANY,
+    SIGHTINGS,
+    MarkerSearch,
+    Sighting,
+    choose_transfer,
+)
 from arfx.core.camera import Camera
 from arfx.core.colour import Transfer
 from arfx.core.marker import MarkerSpec
@@ -227,20 +226,13 @@ def test_large_marker_of_which_the_detector_reports_the_inside_of_its_rim() -> N
             )
 
 
-@pytest.mark.parametrize(
-    "quad", [np.full((4, 2), np.nan), np.zeros((4, 2)), np.full((4, 2), 1e300)]
-)
-def test_senseless_quads_come_back_unrefined(quad: np.ndarray) -> None:
-    image = background(64, 48)
+def test_a_quad_without_size_comes_back_unrefined() -> None:
+    image, quad = background(64, 48), np.zeros((4, 2))
     r = refine_corners(
         (image * 255).astype(np.uint8), quad[None], np.array([8]), TABLE
     )
     assert not r.refined[0] and r.sigma_px[0] == 1.0
-    assert np.array_equal(r.corners_px[0], quad, equal_nan=True)
-    thin = refine_corners(
-        np.zeros((1, 40), np.uint8), np.ones((1, 4, 2)), np.array([8]), TABLE
-    )
-    assert not thin.refined[0]
+    assert np.array_equal(r.corners_px[0], quad)
 
 
 def test_nothing_to_refine_is_said() -> None:
@@ -270,18 +262,18 @@ def test_marker_at_the_frame_border_stays_finite() -> None:
 @pytest.mark.parametrize("linear, expected", [(True, LIGHT), (False, CODE)])
 def test_edge_domain_is_found_from_the_edges(linear: bool, expected: str) -> None:
     m = MarkerSpec("36h11", 1, 0.1)
-    detector = MarkerDetector(["36h11"])
-    skews: tuple[list[float], list[float]] = [], []
+    detector, search = MarkerDetector(["36h11"]), MarkerSearch(AnalysisJob((m,), CAM))
+    seen: list[Sighting] = []
     for k, pose in enumerate(poses(34, m.size_m, SIGHTINGS + 4)):
         image = picture(
             CAM, [(m, pose)], BACK, noise=1.0, blur_px=0.8, seed=k, linear=linear
         )
         found = [c for c in detector.search(image) if c.key == m.key]
-        for some, transfer in zip(skews, (LIGHT, CODE), strict=True):
-            some += [skew for _, skew in refine_found(image, found, transfer, CAM)]
-    assert chosen_transfer(*skews) == expected
-    few = skews[0][: SIGHTINGS - 1], skews[1]
-    assert chosen_transfer(*few) == LIGHT, "too few to tell by"
+        for transfer in (LIGHT, CODE):
+            seen += search.refined(transfer, AnalysisFrame(k, k, image), found)
+    assert choose_transfer(seen) == expected
+    few = seen[: 2 * SIGHTINGS - 2]
+    assert choose_transfer(few) == LIGHT, "too few to tell by"
 
 
 def test_edges_too_poor_to_tell_are_taken_for_light() -> None:
@@ -289,7 +281,7 @@ def test_edges_too_poor_to_tell_are_taken_for_light() -> None:
         "36h11", 1, np.array([[100.0, 60], [160, 60], [160, 120], [100, 120]])
     )
     flat = np.full((240, 320), 90, np.uint8)
-    ((_, skew),) = refine_found(flat, [poor], LIGHT, CAM)
-    assert np.isnan(skew)
-    assert symmetric_in_light(skew)
-    assert chosen_transfer([skew] * (2 * SIGHTINGS), [0.5]) == LIGHT
+    search = MarkerSearch(AnalysisJob((MarkerSpec("36h11", 1, 0.1),), CAM))
+    (seen,) = search.coded_sightings(AnalysisFrame(0, 0.0, flat), [poor])
+    assert np.isnan(seen.skew) and seen.transfer == ANY
+    assert choose_transfer([seen] * (2 * SIGHTINGS)) == LIGHT

@@ -18,9 +18,8 @@ from arfx.analyse.markers.pattern import (
     coded_luma,
     plausible,
 )
-from arfx.analyse.markers.pictured import PicturedPrints
 from arfx.analyse.markers.search import pattern_checks
-from arfx.analyse.markers.tracker import Tracker
+from arfx.analyse.markers.tracker import PicturedPrints
 from arfx.core.camera import Camera
 from arfx.core.marker import PatternSpec
 from arfx.core.pose import Pose, rotation_angle_rad
@@ -65,9 +64,9 @@ def frame(
 def tracked(
     known: PatternPicture, frames: list[np.ndarray], cam: Camera = CAM
 ) -> list[Detection | None]:
-    tracker = Tracker(PicturedPrints([known], cam))
+    tracker = PicturedPrints([known], cam)
     return [
-        next(iter(tracker.search(AnalysisFrame(k, k / 25, luma)).sightings), None)
+        next(iter(tracker.search(AnalysisFrame(k, k / 25, luma))[0]), None)
         for k, luma in enumerate(frames)
     ]
 

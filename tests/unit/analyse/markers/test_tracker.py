@@ -9,15 +9,14 @@ import pytest
 from pydantic import ValidationError
 
 from arfx.analyse.job import AnalysisFrame, AnalysisJob
-from arfx.analyse.markers.coded import CodedPrints
 from arfx.analyse.markers.detect import Candidate, MarkerDetector
-from arfx.analyse.markers.tracker import LOSS_SEARCH_FRAMES, Found, Tracker
+from arfx.analyse.markers.tracker import LOSS_SEARCH_FRAMES, CodedPrints
 from arfx.analyse.params import AnalyseParams
 from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
-from arfx.errors import ArfxError, ConfigError, InputError, NothingToDoError
+from arfx.errors import ArfxError, NothingToDoError
 from tests.observed import Observed
 from tests.unit.analyse.synthetic import background, camera, picture, tilted
 
@@ -56,28 +55,31 @@ def test_part_gives_the_corners_of_the_whole() -> None:
 
 
 class Counted:
-    """A tracker. searched_px : pixels that the detector was given in the last frame"""
+    """A tracker. searched_px : pixels that the detector was given in the last frame
+    whole : all of it was searched"""
 
     def __init__(self, *keys: str) -> None:
-        prints = CodedPrints(keys)
-        self.tracker, self.searched_px, self._frames = Tracker(prints), 0, 0
-        search = prints.detector.search
+        self.tracker, self.searched_px, self._frames = CodedPrints(keys), 0, 0
+        search = self.tracker.detector.search
 
         def counted(
             luma: np.ndarray, rect: Rect | None = None, factor: int = 1, **more: float
         ) -> list[Candidate]:
-            self.searched_px += (
-                luma.size if rect is None else rect.area
-            ) // factor**2
+            self.whole |= rect is None and factor == 1
+            picture = Rect.of(*luma.shape[::-1])
+            self.searched_px += picture.clip(rect or picture).area // factor**2
             return search(luma, rect, factor, **more)
 
-        prints.detector.search = counted  # type: ignore[method-assign]
+        self.tracker.detector.search = counted  # type: ignore[method-assign]
 
-    def step(self, time_s: float, luma: np.ndarray, following: Any = None) -> Found:
-        self.searched_px = 0
+    def step(
+        self, time_s: float, luma: np.ndarray, following: Any = None
+    ) -> list[Candidate]:
+        self.searched_px, self.whole = 0, False
         shown = AnalysisFrame(self._frames, time_s, luma, None, following)
         self._frames += 1
-        return self.tracker.search(shown)
+        seen, self.twice = self.tracker.search(shown)
+        return seen
 
 
 def test_tracked_marker_costs_a_part_and_a_lost_one_is_searched_whole() -> None:
@@ -85,29 +87,26 @@ def test_tracked_marker_costs_a_part_and_a_lost_one_is_searched_whole() -> None:
     whole = []
     for k in range(12):
         found = tracker.step(k / 30, frame((M, at(300 + 8 * k, 200)), seed=k))
-        assert [c.key for c in found.sightings] == [M.key]
-        whole.append(found.whole)
+        assert [c.key for c in found] == [M.key]
+        whole.append(tracker.whole)
         if k:
             assert tracker.searched_px < 960 * 540 / 10
     assert sum(whole) == 1
     jump = tracker.step(
         12 / 30, frame((M, at(800, 430)))
     )  # out of its part: the same frame is searched whole
-    assert jump.whole and len(jump.sightings) == 1
-    empty = [
-        (tracker.step((13 + k) / 30, frame(seed=k)), tracker.searched_px)
-        for k in range(60)
-    ]
-    assert 5 <= sum(f.whole for f, _ in empty) <= 5 + 3 and all(
-        f.whole for f, _ in empty[:5]
-    )  # then once a second
-    assert all(px <= 960 * 540 / 3 for f, px in empty if not f.whole)
+    assert tracker.whole and len(jump) == 1
+    empty = []
+    for k in range(60):
+        tracker.step((13 + k) / 30, frame(seed=k))
+        empty.append((tracker.whole, tracker.searched_px))
+    assert 5 <= sum(whole for whole, _ in empty) <= 5 + 3
+    assert all(whole for whole, _ in empty[:5])  # then once a second
+    assert all(px <= 960 * 540 / 3 for whole, px in empty if not whole)
     back = tracker.step(73 / 30, frame((M, at(500, 300))))
-    assert len(back.sightings) == 1 and not back.whole  # found on the reduced image
+    assert len(back) == 1 and not tracker.whole  # found on the reduced image
     assert (
-        np.abs(
-            back.sightings[0].quad_px - CAM.project(at(500, 300).apply(M.corners_m))
-        ).max()
+        np.abs(back[0].quad_px - CAM.project(at(500, 300).apply(M.corners_m))).max()
         < 4
     )
 
@@ -130,7 +129,7 @@ def test_while_nothing_is_in_view_every_second_frame_is_looked_at_and_a_marker_i
                 (lambda k=k: clip[k + 1]) if ahead and k + 1 < len(clip) else None
             )  # type: ignore[misc]
             got = tracker.step(k / 30, clip[k], following)
-            found.append((bool(got.sightings), tracker.searched_px))
+            found.append((bool(got), tracker.searched_px))
         return found
 
     every, ahead = seen(Counted(M.key), False), seen(Counted(M.key), True)
@@ -167,15 +166,13 @@ def test_small_frames_are_searched_in_parts_while_all_is_seen_well() -> None:
             whole = {
                 c.key: c.quad_px for c in detector.search(image) if c.key in keys
             }
-            assert {c.key for c in found.sightings} == whole.keys()
-            assert all(
-                np.array_equal(c.quad_px, whole[c.key]) for c in found.sightings
-            )
+            assert {c.key for c in found} == whole.keys()
+            assert all(np.array_equal(c.quad_px, whole[c.key]) for c in found)
             if k and parts:
-                assert tracker.searched_px < 0.4 * image.size and not found.whole
+                assert tracker.searched_px < 0.4 * image.size and not tracker.whole
             if k > 4 and not parts:
                 assert (
-                    found.whole and tracker.searched_px == image.size
+                    tracker.whole and tracker.searched_px == image.size
                 )  # one is missing, or all are tiny
 
 
@@ -186,15 +183,11 @@ def test_two_prints_of_one_id_are_told_apart_by_where_the_marker_was() -> None:
     before, after = at(700, 350), at(600, 420)
     both = frame((M, after), big)
     tracker = Counted(M.key)
-    assert len(tracker.step(0.0, frame((M, before))).sightings) == 1
-    for found, followed in (
-        (tracker.step(0.04, both), True),
-        (Counted(M.key).step(0.04, both), False),
-    ):
-        assert found.whole and len(found.sightings) == len(found.duplicates) == 1
-        away = found.sightings[0].quad_px.mean(0) - CAM.project(
-            after.apply(M.corners_m)
-        ).mean(0)
+    assert len(tracker.step(0.0, frame((M, before)))) == 1
+    for search, followed in ((tracker, True), (Counted(M.key), False)):
+        (found,) = search.step(0.04, both)
+        assert search.whole and search.twice == [M.key]
+        away = found.quad_px.mean(0) - CAM.project(after.apply(M.corners_m)).mean(0)
         assert (np.linalg.norm(away) < 3) == followed
 
 
@@ -214,9 +207,7 @@ def test_two_stretches_are_one_clip() -> None:
     for part in (first, second):
         both.add(part.tables())
     a, b = whole.finish(), both.finish()
-    assert [{**f.to_json(), "whole_frame_search": True} for f in a.facts] == [
-        {**f.to_json(), "whole_frame_search": True} for f in b.facts
-    ]
+    assert [f.to_json() for f in a.facts] == [f.to_json() for f in b.facts]
     assert (
         a.summary["frames_interpolated"] == 2 and a.summary["frames_measured"] == 14
     )
@@ -242,14 +233,12 @@ def test_no_configured_marker_says_what_is_there_instead() -> None:
     for k in range(4):
         b.step(AnalysisFrame(k, k / 30, frame((M, at(300, 200)), seed=k)))
     with pytest.raises(
-        NothingToDoError, match=r"tried: 5X5_50; other dictionaries saw: 36h11:3"
+        NothingToDoError, match=r"tried: 5X5_50; seen instead: 36h11:3"
     ):
         b.finish()
     photo = Observed(AnalysisJob((MarkerSpec("5X5_50", 2, 0.1),), CAM))
     photo.step(AnalysisFrame(0, 0.0, frame((M, at(300, 200)))))
-    with pytest.raises(
-        NothingToDoError, match=r"other dictionaries saw: 36h11:3 \(1 of 1"
-    ):
+    with pytest.raises(NothingToDoError, match=r"seen instead: 36h11:3 \(1 of 1"):
         photo.finish()
     c = Observed(AnalysisJob((M,), CAM))
     c.step(AnalysisFrame(0, 0.0, frame()))
@@ -259,24 +248,11 @@ def test_no_configured_marker_says_what_is_there_instead() -> None:
 
 
 def test_wrong_input_is_refused() -> None:
-    with pytest.raises(ConfigError, match="twice"):
-        Observed(AnalysisJob((M, M), CAM))
-    with pytest.raises(ConfigError):
-        Observed(AnalysisJob((), CAM))
-    with pytest.raises(ConfigError, match="map holds none"):
-        Observed(AnalysisJob((M,), CAM, marker_map={"36h11:9": Pose.identity()}))
     with pytest.raises(ValidationError, match="static"):
         AnalyseParams(static="both")  # type: ignore[arg-type]
     a = Observed(AnalysisJob((M,), CAM))
-    with pytest.raises(InputError, match="uint8"):
-        a.step(AnalysisFrame(0, 0.0, np.zeros((540, 960))))
     with pytest.raises(ArfxError, match="aspect"):
         a.step(AnalysisFrame(0, 0.0, np.zeros((540, 540), np.uint8)))
-    a.step(AnalysisFrame(0, 0.0, frame()))
-    with pytest.raises(InputError, match="comes after"):
-        a.step(AnalysisFrame(1, 0.0, frame()))
-    with pytest.raises(InputError, match="frames before"):
-        a.step(AnalysisFrame(2, 0.1, np.zeros((270, 480), np.uint8)))
 
 
 def test_camera_of_another_size_is_scaled() -> None:

@@ -5,7 +5,6 @@ a cut.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -300,7 +299,7 @@ def test_cut_is_not_smoothed_over_and_times_may_be_uneven() -> None:
     ]
     rec = records(CAM, truth, times, {M: Pose.identity()}, 0.05)
     other = rng.integers(0, 256, THUMBNAIL.shape, np.uint8)
-    rec[50:] = [replace(r, thumbnail=other) for r in rec[50:]]
+    rec[50:] = [r._replace(thumbnail=other) for r in rec[50:]]
     a = analysed(rec)
     assert (
         a.summary["cuts"] == [50] and [f.shot for f in a.facts] == [0] * 50 + [1] * 50

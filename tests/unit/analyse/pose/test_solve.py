@@ -59,9 +59,7 @@ ORBIT = [
 ]
 PARAMS = AnalyseParams(static="camera")
 # a print somewhere outside of the picture
-FAR = Sighting(
-    0, ANY, False, 0.0, Detection("far", np.full((4, 2), 9e3), 0.1, 0.6, False)
-)
+FAR = Sighting(0, ANY, 0.0, Detection("far", np.full((4, 2), 9e3), 0.1, 0.6, False))
 
 
 def test_unknown_layout_is_mapped_from_pairs_seen_together() -> None:
@@ -124,7 +122,7 @@ def test_given_map_is_taken_and_a_contradicting_print_is_not_used() -> None:
             False,
         ),
     )
-    rec[20] = Record(20, rec[20].time_s, seen, (), False, rec[20].thumbnail)
+    rec[20] = Record(20, rec[20].time_s, seen, rec[20].thumbnail)
     a = solve_poses(
         rec, [A, B, C], CAM, PARAMS, {m.key: p for m, p in LAYOUT.items()}, []
     )
@@ -164,8 +162,8 @@ def test_what_corners_are_misplaced_by_is_not_averaged_away() -> None:
             visible=lambda k, m: k not in (30, 31),
         )
         for k in {*range(first, last)} - {30, 31}:
-            rec[k] = replace(
-                rec[k], detections=(rec[k].detections[0]._replace(misplaced_px=0.4),)
+            rec[k] = rec[k]._replace(
+                detections=(rec[k].detections[0]._replace(misplaced_px=0.4),)
             )
         facts = solve_poses(rec, [A], CAM, PARAMS, None, []).facts
         return np.array(
@@ -382,8 +380,8 @@ def static_clip(kind: str) -> tuple[str, dict[str, float]]:
         )
         luma = np.clip(image, 0, 255).astype(np.uint8)
         flow.step(AnalysisFrame(k, a, luma), [FAR])
-    assert flow.background
-    return decide_static(flow.background, poses, CAM)
+    assert flow.rows
+    return decide_static(flow.rows, poses, CAM)
 
 
 @pytest.mark.parametrize("kind", ["camera", "marker", "marker, orbited", "both"])
@@ -493,7 +491,7 @@ def test_facts_file_round_trip_and_refusals(tmp_path: Path) -> None:
     path.write_text("\n".join([rows[0], rows[1][:40]]))
     with pytest.raises(InputError, match=":2: not a frame"):
         read_facts(path)
-    for other in ("{}", rows[0].replace('"version":4', '"version":3')):
+    for other in ("{}", rows[0].replace('"version":5', '"version":3')):
         path.write_text("\n".join([other, *rows[1:]]))
-        with pytest.raises(InputError, match="no facts file of version 4"):
+        with pytest.raises(InputError, match="no facts file of version 5"):
             read_facts(path)
