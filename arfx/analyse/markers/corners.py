@@ -5,8 +5,6 @@ share (shared_px). In which values edges are symmetric, light or code, is known 
 the clip is (`search.choose_transfer`). Leaves out: rolling shutter.
 Source: docs/methods/pose.md#corners. Cost: about 1 ms a frame, and .3 ms a marker."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import NamedTuple
 

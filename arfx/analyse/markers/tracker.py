@@ -8,8 +8,6 @@ was expected is followed, at first the larger one.
 While no coded print is in view, a frame between two that show none on the reduced image is
 not searched: a marker that shows in a single frame may be missed."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
