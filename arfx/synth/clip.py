@@ -223,7 +223,7 @@ def frame_truth(world: World, n: int) -> FrameTruth:
             "rgb": row[3:6].tolist(),
             "angular_size_deg": float(2 * np.degrees(np.arctan(row[6]))),
         }
-        for row in ([] if scene.light.environment else room.lights)
+        for row in room.lights
     ]
     return FrameTruth(
         n,

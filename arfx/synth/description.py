@@ -248,12 +248,6 @@ class Light(Settings):
     # radiance of a white surface without the lamps
     ambient_rgb: Colour = (0.3, 0.3, 0.3)
     lamps: tuple[Lamp, ...] = (Lamp(),)
-    # HDR picture (equirectangular, z up) or a built-in one; lights with true shadows,
-    # replaces ambient
-    environment: Literal["", "studio", "sunset"] | Path = ""
-    environment_scale: Positive = 1.0
-    # directional lights it is divided into
-    environment_lights: int = Field(default=48, ge=1, le=1024)
 
 
 class Exposure(Settings):

@@ -27,12 +27,7 @@ from arfx.synth.description import (
     Sphere,
 )
 from arfx.synth.rays import Room
-from arfx.synth.textures import (
-    environment_lights,
-    environment_picture,
-    sheet_albedo,
-    texture_albedo,
-)
+from arfx.synth.textures import sheet_albedo, texture_albedo
 
 _X, _Y, _Z = np.eye(3)
 # (u, v) of a box's sides; a plane or a sheet is the first of them
@@ -44,7 +39,7 @@ class World:
     """Everything of a scene that does not depend on time, made once.
     camera : the true one;  frame_times_s : (frames,) from 0 at the first frame;  shots :
     (frames,) shot of each frame
-    room : each thing in its own axes, and the lights of a panorama
+    room : each thing in its own axes, without the lamps
     """
 
     def __init__(self, scene: SceneFile, folder: Path | None = None) -> None:
@@ -68,8 +63,6 @@ class World:
 
     def lights_at(self, time_s: float) -> ndarray:
         """(n, 7) tracer lights at a time."""
-        if self.scene.light.environment:
-            return self.room.lights
         rows = []
         for li in self.scene.light.lamps:
             swing = np.sin(2 * np.pi * time_s / li.period_s) * np.array(li.swing_deg)
@@ -144,7 +137,7 @@ def true_camera(scene: SceneFile) -> Camera:
 
 
 def _room(scene: SceneFile, folder: Path | None) -> Room:
-    """Each thing in its own axes, and the lights of a panorama."""
+    """Each thing in its own axes, without the lamps."""
     hidden = scene.hidden
     rects, spheres, textures = list[Any](), list[Any](), list[Any]()
     tables = [np.zeros((1, 3))]
@@ -177,21 +170,13 @@ def _room(scene: SceneFile, folder: Path | None) -> Room:
         rgb = np.broadcast_to(picture, (h, w, 3)).astype(float)
         textures.append([sum(map(len, tables)), w, h, smallest])
         tables.append(np.asarray(cv2.integral(rgb), float).reshape(-1, 3))
-    ambient = np.array(scene.light.ambient_rgb, float)
-    sky, lights = np.zeros((0, 0, 3)), np.zeros((0, 7))
-    if scene.light.environment:
-        sky = environment_picture(scene.light.environment, folder)
-        sky = sky * scene.light.environment_scale
-        lights = environment_lights(sky, scene.light.environment_lights)
-        ambient = np.zeros(3)
     return Room(
         np.array(rects, float).reshape(-1, 17),
         np.array(spheres, float).reshape(-1, 8),
-        lights,
-        ambient,
+        np.zeros((0, 7)),
+        np.array(scene.light.ambient_rgb, float),
         np.array(textures, float).reshape(-1, 4),
         np.concatenate(tables),
-        sky,
     )
 
 
