@@ -41,12 +41,12 @@ VIDEO_SEARCHED = 120
 
 class _Camera(NamedTuple):
     """source : what its pictures come from;  paths : pictures and videos;  output : its file;
-    plots : of residuals and of coverage"""
+    plot : of the residuals"""
 
     source: Path
     paths: list[Path]
     output: Path
-    plots: list[Path]
+    plot: Path
 
 
 @arfx_command("calibrate")
@@ -88,8 +88,7 @@ def command(
     guard = Guard(read, overwrite)
     for camera in cameras:
         guard.file(camera.output, folder_made=several)
-        for path in camera.plots:
-            guard.file(path, folder_made=several or report is not None)
+        guard.file(camera.plot, folder_made=several or report is not None)
     if not several:
         wrote_json(_calibrate(cameras[0], spec, ""))
         return
@@ -135,7 +134,7 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
         file_extras,
         find_board,
     )
-    from arfx.calibrate.plots import write_plots
+    from arfx.calibrate.plot import write_plot
     from arfx.media.cameras import save_camera
     from arfx.run.pages import render
 
@@ -151,8 +150,8 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
             lambda searched, _: progress("search", searched, total),
         )
     result = calibrate(found)
-    camera.plots[0].parent.mkdir(parents=True, exist_ok=True)
-    write_plots(result, camera.plots)
+    camera.plot.parent.mkdir(parents=True, exist_ok=True)
+    write_plot(result, camera.plot)
     save_camera(camera.output, result.fitted.camera, **file_extras(result))
     d = document(result)
     known = d["standard_deviations"]
@@ -172,18 +171,17 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
             f"the calibration is {result.verdict.word}: {'; '.join(result.verdict.reasons)}"
         )
     detail_template("calibrate/models.jinja", models=d["models"])
-    output, *plots = map(str, [camera.output, *camera.plots])
-    say(f"wrote {', '.join([output, *plots])}")
-    return d | {"output": output, "plots": plots}
+    say(f"wrote {camera.output}, {camera.plot}")
+    return d | {"output": str(camera.output), "plot": str(camera.plot)}
 
 
 def _camera(
     source: Path, paths: list[Path], output: Path, report: Path | None
 ) -> _Camera:
-    folder = report or output.absolute().parent
-    before = "" if report else f"{output.stem}-"
-    plots = [folder / f"{before}{name}.png" for name in ("residuals", "coverage")]
-    return _Camera(source, paths, output, plots)
+    plot = output.absolute().with_name(f"{output.stem}-residuals.png")
+    if report is not None:
+        plot = report / "residuals.png"
+    return _Camera(source, paths, output, plot)
 
 
 def _several(
@@ -204,8 +202,8 @@ def _several(
                     f"{out[file].source} and {source} go to one output, {file}",
                     "{stem} and {parent} keep them apart",
                 )
-            plots = report and report / file.stem
-            out[file] = _camera(source, _pictures_in((source,)), file, plots)
+            folder = report and report / file.stem
+            out[file] = _camera(source, _pictures_in((source,)), file, folder)
     return list(out.values())
 
 

@@ -77,9 +77,7 @@ def repeated(
             bend = np.stack(
                 [u[:, 0] ** 2, u[:, 0] * u[:, 1], u[:, 1] ** 2], 1
             ) @ rng.normal(0, noise_of_view, (3, 2))
-            made.append(
-                type(v)(v.name, v.size, v.ids, v.board_m, v.pixels + bend, v.finder)
-            )
+            made.append(type(v)(v.name, v.size, v.ids, v.board_m, v.pixels + bend))
         fitted = fit(made, BROWN4)
         known = uncertainty(fitted)
         values.append(fitted.values)
