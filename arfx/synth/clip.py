@@ -30,7 +30,6 @@ from arfx.synth.description import Marker, SceneFile
 from arfx.synth.encode import ClipFile, VideoFile, measured_steps
 from arfx.synth.picture import Picture, expose, gain_at
 from arfx.synth.rays import LIFT_M, surfaces
-from arfx.synth.shapes import write_model
 from arfx.synth.truth import (
     DEPTH_UNIT_M,
     FLOW_UNIT_PX,
@@ -54,7 +53,6 @@ Progress = Callable[[str, int, int | None], None]
 def make_clip(
     scene: SceneFile,
     folder: Path,
-    scene_folder: Path | None = None,
     progress: Progress = lambda *_: None,
     overwrite: bool = False,
     truth_pictures: bool = True,
@@ -62,7 +60,6 @@ def make_clip(
     """Render a scene into a new folder.
 
     folder : made anew; it appears by rename when everything in it is complete
-    scene_folder : where picture files that the scene names are
     truth_pictures : False leaves out depth, masks and flow
     Raises ConfigError if the folder exists (without overwrite), RenderError if it cannot be
     written."""
@@ -77,7 +74,7 @@ def make_clip(
             "name another place with -o",
         ) from None
     try:
-        truth = _fill(scene, part, scene_folder, progress, truth_pictures)
+        truth = _fill(scene, part, progress, truth_pictures)
         if os.path.lexists(folder):
             check_replaceable(
                 folder, overwrite
@@ -124,11 +121,10 @@ def check_replaceable(folder: Path, overwrite: bool = True) -> None:
 def _fill(
     scene: SceneFile,
     folder: Path,
-    scene_folder: Path | None,
     progress: Progress,
     truth_pictures: bool,
 ) -> Truth:
-    world = World(scene, scene_folder)
+    world = World(scene)
     picture, frames = Picture(world), []
     kinds = scene.truth if truth_pictures else ()
     for kind in kinds:
@@ -162,7 +158,8 @@ def _fill(
                     write_png(path, owner)
     stated = stated_camera(scene, world.camera)
     save_camera(folder / "camera.yaml", stated)
-    write_model(scene.model.shape, folder / "model.glb")
+    model = Path(__file__).with_name(f"{scene.model.shape}.glb")
+    shutil.copyfile(model, folder / "model.glb")
     (folder / "job.toml").write_text(job_toml(scene), encoding="utf-8")
     configured = scene.configured
     header = {

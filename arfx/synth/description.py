@@ -95,13 +95,9 @@ Keys = Annotated[tuple[Key, ...], AfterValidator(_rising)]
 class Motion(Settings):
     """How an object moves; added to its pose.
 
-    turn and sway act in the object's own axes, keys replace the pose."""
+    sway acts in the object's own axes, keys replace the pose."""
 
-    kind: Literal["still", "turn", "sway", "keys"] = "still"
-    # turn: axis
-    axis: Angles = (1.0, 0.0, 0.0)
-    # turn: from, to over the clip
-    angle_deg: Pair = (0.0, 0.0)
+    kind: Literal["still", "sway", "keys"] = "still"
     # sway: largest tilt about x and y, in two incommensurate periods
     tilt_deg: float = 0.0
     # sway: largest displacement
@@ -158,16 +154,12 @@ class Lens(Settings):
 
 
 class Texture(Settings):
-    kind: Literal[
-        "plain", "wood", "carpet", "noise", "checker", "poster", "image"
-    ] = "plain"
+    kind: Literal["plain", "wood", "carpet", "noise", "checker", "poster"] = "plain"
     # linear albedo 0..1, or the darker of two
     colour: Colour = (0.5, 0.5, 0.5)
     second: Colour = (0.7, 0.7, 0.7)
     # size of the pattern's features
     feature_m: PositiveLength = 0.02
-    # image: an sRGB picture, beside the scene file
-    file: Path | None = None
 
 
 class SceneObject(Settings):
@@ -299,7 +291,8 @@ class DepthInput(Settings):
 
 
 class ModelPart(Settings):
-    shape: str = "robot"
+    # block: of 12 faces;  robot: a toy with a flag, 8,580 faces
+    shape: Literal["block", "robot"] = "robot"
     fit: str = "12cm"
 
 
@@ -389,5 +382,5 @@ def parse_scene(text: str, where: str = "scene.toml") -> SceneFile:
 
 
 def load_scene(path: Path) -> SceneFile:
-    """A scene file; picture files in it are found beside it. Raises InputError, ConfigError."""
+    """A scene file. Raises InputError, ConfigError."""
     return parse_scene(read_text(path, "scene"), str(path))

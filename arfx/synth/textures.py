@@ -4,17 +4,13 @@ optical flow."""
 from __future__ import annotations
 
 import zlib
-from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy import ndarray
 from numpy.random import Generator
 
-from arfx.core.colour import SRGB
 from arfx.core.marker_codes import marker_cells
-from arfx.errors import InputError
-from arfx.media.images import decode_picture
 from arfx.synth.description import Marker, Texture
 
 Shape = tuple[int, int]
@@ -24,22 +20,11 @@ def texture_albedo(
     texture: Texture,
     size_m: tuple[float, float],
     seed: int,
-    folder: Path | None = None,
 ) -> ndarray:
     """(rows, columns, 3) float32 linear albedo 0..1 that covers size_m = (width, height),
-    metres; row 0 is y's upper end. Raises InputError if a picture file cannot be read."""
+    metres; row 0 is y's upper end."""
     if texture.kind == "plain":
         return np.full((1, 1, 3), texture.colour, np.float32)
-    if texture.kind == "image":
-        if texture.file is None:
-            raise InputError(
-                "texture of kind 'image' names no file",
-                'file = "picture.png", beside the scene file',
-            )
-        picture = decode_picture(
-            (folder or Path()) / texture.file, "image", cv2.IMREAD_COLOR
-        )
-        return SRGB.decode(picture[..., ::-1] / np.float32(255))
     rng = np.random.default_rng([seed, zlib.crc32(texture.kind.encode())])
     texel = max(max(size_m) / 1024, texture.feature_m / 6)
     w, h = (max(round(side / texel), 2) for side in size_m)

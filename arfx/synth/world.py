@@ -5,7 +5,6 @@ under which light; exact poses by time.
 from __future__ import annotations
 
 import zlib
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -42,7 +41,7 @@ class World:
     room : each thing in its own axes, without the lamps
     """
 
-    def __init__(self, scene: SceneFile, folder: Path | None = None) -> None:
+    def __init__(self, scene: SceneFile) -> None:
         self.scene = scene
         self.camera = true_camera(scene)
         n = np.arange(scene.frames, dtype=float)
@@ -55,11 +54,7 @@ class World:
         self.shots = np.repeat(
             np.arange(len(scene.shot)), [s.frames for s in scene.shot]
         )
-        self.room = _room(scene, folder)
-
-    @property
-    def duration_s(self) -> float:
-        return float(self.frame_times_s[-1])
+        self.room = _room(scene)
 
     def lights_at(self, time_s: float) -> ndarray:
         """(n, 7) tracer lights at a time."""
@@ -79,7 +74,7 @@ class World:
         own, by_name = [], {}
         for i, p in enumerate(self.scene.objects):
             name = p.label or f"object {i}"
-            pose = room_from_object(p, time_s, self.duration_s, self.scene.seed, name)
+            pose = room_from_object(p, time_s, self.scene.seed, name)
             own.append(pose)
             by_name[name] = by_name[p.key or name] = pose
         return tuple(
@@ -136,7 +131,7 @@ def true_camera(scene: SceneFile) -> Camera:
     )
 
 
-def _room(scene: SceneFile, folder: Path | None) -> Room:
+def _room(scene: SceneFile) -> Room:
     """Each thing in its own axes, without the lamps."""
     hidden = scene.hidden
     rects, spheres, textures = list[Any](), list[Any](), list[Any]()
@@ -157,7 +152,6 @@ def _room(scene: SceneFile, folder: Path | None) -> Room:
                 p.texture,
                 (max(x, y), max(y, z)) if isinstance(p, Box) else (x, y),
                 scene.seed * 1000 + number - 1,
-                folder,
             )
             smallest = float(isinstance(p, Box) or p.texture.kind != "checker")
         half = size_m / 2
@@ -215,7 +209,8 @@ def camera_from_room(
 ) -> Pose:
     """Pose of the camera, `time_s` after its shot began."""
     target, position = np.array([path.target_m, path.position_m], float)
-    share = _share(time_s, duration_s)
+    # 0 at the beginning and before, 1 at the end and after
+    share = float(np.clip(divide(time_s, duration_s), 0.0, 1.0))
     if path.kind == "orbit":
         position = target + path.radius_m * direction_of(
             *(np.radians([path.azimuth_deg, path.elevation_deg]) @ (1 - share, share))
@@ -233,18 +228,13 @@ def camera_from_room(
     return _trembling(both, path.hand_deg, path.hand_m) @ look_at(position, target)
 
 
-def _share(time_s: float, duration_s: float) -> float:
-    """0 at the beginning and before, 1 at the end and after."""
-    return float(np.clip(divide(time_s, duration_s), 0.0, 1.0))
-
-
 def _trembling(noise: ndarray, turn_deg: float, travel_m: float) -> Pose:
     """A small motion from unit noise (6,): a turn, then a shift."""
     return Pose.from_rotvec(np.radians(turn_deg) * noise[:3], travel_m * noise[3:])
 
 
 def room_from_object(
-    placed: SceneObject, time_s: float, duration_s: float, seed: int, name: str
+    placed: SceneObject, time_s: float, seed: int, name: str
 ) -> Pose:
     """Pose of an object in its parent's axes (the room's, if it is attached to nothing)."""
     motion = placed.motion
@@ -259,11 +249,6 @@ def room_from_object(
             *_between(motion.keys, "rotate_deg", time_s)
         )
         pose = Pose(rotation, _between(motion.keys, "position_m", time_s))
-    elif motion.kind == "turn":
-        share = _share(time_s, duration_s)
-        angle = np.radians(motion.angle_deg) @ (1 - share, share)
-        axis = normalise(np.asarray(motion.axis, float))
-        pose = pose @ Pose.from_rotvec(axis * angle, np.zeros(3))
     else:
         a = 2 * np.pi * time_s / motion.period_s
         golden = (

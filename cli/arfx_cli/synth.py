@@ -42,7 +42,7 @@ def command(scene: Path, folder: Path, kinds: str | None, overwrite: bool) -> No
             )
         description = description.model_copy(update={"truth": chosen})
     with Progress() as progress:
-        truth = make_clip(description, folder, path.parent, progress, overwrite)
+        truth = make_clip(description, folder, progress, overwrite)
     files = sorted(str(p.relative_to(folder)) for p in folder.iterdir())
     say(f"{len(truth.frames)} frames in {folder}: {', '.join(files)}")
     keys = sorted({key for f in truth.frames for key in f.markers})

@@ -185,7 +185,7 @@ def test_nothing_is_left_of_a_clip_that_failed(
     def broken(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(clip_module, "write_model", broken)
+    monkeypatch.setattr(clip_module, "save_camera", broken)
     with pytest.raises(KeyboardInterrupt):
         make_clip(
             little_scene(64, 48, frames=1, path=ORBIT, **PARTS), tmp_path / "out"
