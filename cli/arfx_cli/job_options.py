@@ -22,10 +22,7 @@ if TYPE_CHECKING:
 def job_options() -> list[click.Parameter]:
     """What a job is, where it goes and how it is run: the parameters of a command."""
     made = [_parameter(s) for s in settings() if s.flags]
-    made += [parameter(**row) for row in TABLE["job"]["parameter"]]
-    every = {p.opts[-1].lstrip("-"): p for p in made}
-    order = TABLE["job"]["order"].split()
-    return [*({name: every[name] for name in order} | every).values()]
+    return made + [parameter(**row) for row in TABLE["job"]["parameter"]]
 
 
 def _parameter(s: Setting) -> click.Parameter:
