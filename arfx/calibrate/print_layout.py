@@ -69,9 +69,8 @@ def parse_targets(texts: Sequence[str]) -> list[Target]:
                     f"markers {text!r}: the range runs backwards",
                     f"{m[1]}:{last}-{first}:{m[4]}",
                 )
-            # the last one first: a range that is too long fails before it is listed
-            falling = range(last, first - 1, -1)
-            out += [MarkerSpec.parse(f"{m[1]}:{i}:{m[4]}") for i in falling][::-1]
+            numbers = range(first, last + 1)
+            out += [MarkerSpec.parse(f"{m[1]}:{i}:{m[4]}") for i in numbers]
         else:
             out.append(MarkerSpec.parse(text))
     if any(isinstance(t, BoardSpec) for t in out) and len(out) > 1:

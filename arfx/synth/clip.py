@@ -5,7 +5,6 @@ Its folder appears when it is complete."""
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import re
 import shutil
@@ -17,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from arfx.core.camera import Camera
 from arfx.core.guard import check_file_name, part_name
 from arfx.core.numerics import divide, normalise
 from arfx.core.opener import why
@@ -68,12 +66,6 @@ def make_clip(
     part = part_name(folder.absolute())
     try:
         part.mkdir(parents=True)
-    except OSError as e:
-        raise RenderError(
-            f"cannot write into {folder.parent}: {e.strerror}",
-            "name another place with -o",
-        ) from None
-    try:
         truth = _fill(scene, part, progress, truth_pictures)
         if os.path.lexists(folder):
             check_replaceable(
@@ -156,8 +148,7 @@ def _fill(
                     write_depth(path, depth)
                 else:
                     write_png(path, owner)
-    stated = stated_camera(scene, world.camera)
-    save_camera(folder / "camera.yaml", stated)
+    save_camera(folder / "camera.yaml", world.camera)
     model = Path(__file__).with_name(f"{scene.model.shape}.glb")
     shutil.copyfile(model, folder / "model.glb")
     (folder / "job.toml").write_text(job_toml(scene), encoding="utf-8")
@@ -168,7 +159,6 @@ def _fill(
         "world": configured[0].spec.key if configured else None,
         "markers": {m.spec.key: m.spec.size_m for m in configured},
         "camera": world.camera.to_json(),
-        "stated_camera": stated.to_json(),
         "depth_unit_m": DEPTH_UNIT_M,
         "flow_unit_px": FLOW_UNIT_PX,
         "objects": {i: p.label for i, p in enumerate(scene.objects, 1)},
@@ -234,13 +224,6 @@ def frame_truth(world: World, n: int) -> FrameTruth:
         world.room.ambient.tolist(),
         lights,
     )
-
-
-def stated_camera(scene: SceneFile, camera: Camera) -> Camera:
-    """The camera that camera.yaml states."""
-    error = 1 + scene.hidden.focal_error_percent / 100
-    matrix = camera.matrix * [[error, 1, 1], [1, error, 1], [1, 1, 1]]
-    return dataclasses.replace(camera, matrix=matrix, source="synth")
 
 
 def job_toml(scene: SceneFile) -> str:

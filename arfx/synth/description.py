@@ -265,11 +265,8 @@ class Hidden(Settings):
     # curve that the camera really applies
     transfer: TransferName = "srgb"
     noise_correlation_px: float = Field(default=0.0, ge=0, le=8)
-    drift_stops: float = 0.0
     # time from the first row's to the last row's exposure
     rolling_shutter_s: NonNegative = 0.0
-    # camera.yaml states a focal length that much too large
-    focal_error_percent: float = 0.0
     # strength of a highlight on the prints
     gloss: Share = 0.0
     # ink albedo at the sheet's right edge; grows from the left
