@@ -42,7 +42,7 @@ SIZE = JobSize(
 def plans(
     busy: range, stage: str = "dof", level: str = "draft", seconds: float = 0.1
 ) -> list[FramePlan]:
-    step = Step(stage, level, R, R, "", seconds, (seconds, seconds))
+    step = Step(stage, level, R, R, "", measured(seconds))
     return [FramePlan(i, R, R, (step,) if i in busy else (), ()) for i in range(120)]
 
 

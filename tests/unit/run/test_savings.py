@@ -166,7 +166,7 @@ def test_a_budget_is_planned_on_its_upper_end_and_a_resumed_job_keeps_its_plan(
     )
     assert not poor.plan.levels["met"] and any("even the cheapest" in t for t in told)
     seconds = [
-        sum(s.seconds for p in plan.plan.frames for s in p.steps)
+        sum(s.cost.seconds for p in plan.plan.frames for s in p.steps)
         for plan in (poor, first)
     ]
     assert seconds[0] < seconds[1]
