@@ -99,15 +99,9 @@ class Scene:
             [self.world_from_model, self.world_from_anchor.matrix]
         ).tobytes()
 
-    def mesh_at(self, time_s: float) -> SceneMesh:
-        """The model's triangles at a time of the clip; a model that does not move has the
-        same at all times.
-
-        Raises InputError where the model is larger than MAX_EXTENT_M."""
-        return self._rest_mesh
-
     @cached_property
-    def _rest_mesh(self) -> SceneMesh:
+    def mesh(self) -> SceneMesh:
+        """The model's triangles. Raises InputError where it is larger than MAX_EXTENT_M."""
         self.check_extent()
         return flatten(self.model, self.world_from_model)
 

@@ -9,7 +9,6 @@ import os
 import re
 import shutil
 import tomllib
-from collections.abc import Callable
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from arfx.core.numerics import divide, normalise
 from arfx.core.opener import why
 from arfx.core.pose import Pose
 from arfx.core.toml_text import to_toml
+from arfx.core.waiting import Progress
 from arfx.errors import ConfigError, RenderError
 from arfx.media.cameras import save_camera
 from arfx.media.images import write_png
@@ -45,7 +45,6 @@ _MADE = re.compile(
     r"camera\.yaml|model\.glb|job\.toml|truth\.jsonl"
     r"|truth(/(depth|mask|flow)(/\d{6,}\.png)?)?"
 )
-Progress = Callable[[str, int, int | None], None]
 
 
 def make_clip(
