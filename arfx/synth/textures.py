@@ -1,8 +1,6 @@
 """Surfaces: albedo pictures that depend on a seed only, with detail enough for corners and
 optical flow."""
 
-from __future__ import annotations
-
 import zlib
 
 import cv2
