@@ -32,8 +32,18 @@ if TYPE_CHECKING:
     from arfx.calibrate.calibration import Picture
 
 STILLS = {
-    *(".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff"),
-    *(".webp", ".pgm", ".ppm", ".jp2", ".heic", ".heif"),
+    ".jpg",
+    ".jpeg",
+    ".png",
+    ".bmp",
+    ".tif",
+    ".tiff",
+    ".webp",
+    ".pgm",
+    ".ppm",
+    ".jp2",
+    ".heic",
+    ".heif",
 }
 # frames of a video that are searched for the board: the sharpest of equal intervals
 VIDEO_SEARCHED = 120
