@@ -50,13 +50,16 @@ VIDEO_SEARCHED = 120
 
 
 class _Camera(NamedTuple):
-    """source : what its pictures come from;  paths : pictures and videos;  output : its file;
-    plot : of the residuals"""
+    """source : what its pictures come from;  paths : pictures and videos;  output : its file"""
 
     source: Path
     paths: list[Path]
     output: Path
-    plot: Path
+
+    @property
+    def plot(self) -> Path:
+        """Of the residuals."""
+        return self.output.with_name(f"{self.output.stem}-residuals.png")
 
 
 @arfx_command("calibrate")
@@ -64,7 +67,6 @@ def command(
     inputs: tuple[Path, ...],
     board: str,
     output: Path,
-    report: Path | None,
     overwrite: bool,
 ) -> None:
     """Camera intrinsics from pictures or videos of a printed board, with a verdict: good,
@@ -91,14 +93,14 @@ def command(
             )
     several = has_field(output)
     if several:
-        cameras = _several(inputs, output, report)
+        cameras = _several(inputs, output)
     else:
-        cameras = [_camera(inputs[0], _pictures_in(inputs), output, report)]
+        cameras = [_Camera(inputs[0], _pictures_in(inputs), output)]
     read = (("picture", path) for camera in cameras for path in camera.paths)
     guard = Guard(read, overwrite)
     for camera in cameras:
-        guard.file(camera.output, folder_made=several)
-        guard.file(camera.plot, folder_made=several or report is not None)
+        for path in (camera.output, camera.plot):
+            guard.file(path, folder_made=several)
     if not several:
         wrote_json(_calibrate(cameras[0], spec, ""))
         return
@@ -160,7 +162,6 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
             lambda searched, _: progress("search", searched, total),
         )
     result = calibrate(found)
-    camera.plot.parent.mkdir(parents=True, exist_ok=True)
     write_plot(result, camera.plot)
     save_camera(camera.output, result.fitted.camera, **file_extras(result))
     d = document(result)
@@ -185,26 +186,14 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
     return d | {"output": str(camera.output), "plot": str(camera.plot)}
 
 
-def _camera(
-    source: Path, paths: list[Path], output: Path, report: Path | None
-) -> _Camera:
-    plot = output.absolute().with_name(f"{output.stem}-residuals.png")
-    if report is not None:
-        plot = report / "residuals.png"
-    return _Camera(source, paths, output, plot)
-
-
-def _several(
-    inputs: tuple[Path, ...], pattern: Path, report: Path | None
-) -> list[_Camera]:
+def _several(inputs: tuple[Path, ...], pattern: Path) -> list[_Camera]:
     """One camera for each argument, or for what is in a folder that holds no pictures itself."""
-    # plots of an earlier run are there
-    own = {p.resolve() for p in (fixed_folder(pattern), report) if p}
+    own = fixed_folder(pattern).resolve()  # plots of an earlier run are there
     out: dict[Path, _Camera] = {}
     for path in inputs:
         sources = [path] if not path.is_dir() or _stills(path) else _cameras_in(path)
         for source in sources:
-            if source.resolve() in own:
+            if source.resolve() == own:
                 continue
             file = named(pattern, source)
             if file in out:
@@ -212,8 +201,7 @@ def _several(
                     f"{out[file].source} and {source} go to one output, {file}",
                     "{stem} and {parent} keep them apart",
                 )
-            folder = report and report / file.stem
-            out[file] = _camera(source, _pictures_in((source,)), file, folder)
+            out[file] = _Camera(source, _pictures_in((source,)), file)
     return list(out.values())
 
 
