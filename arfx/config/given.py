@@ -37,7 +37,7 @@ def section_overrides(given: Mapping[str, Any]) -> Iterator[Given]:
     """The settings of a job's sections that have an option. given : by the option's name;
     None, False and () are not given."""
     for s in settings():
-        value = given[s.name] if s.flags else None
+        value = given[s.name]
         if value is None or value is False or value == ():
             continue
         if value == "" and list[str] in s.kinds:  # an empty list of effects

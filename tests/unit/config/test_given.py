@@ -10,7 +10,7 @@ from arfx.config.load import load
 from arfx.config.sections import PipelineSection, settings
 from arfx.errors import ConfigError
 
-NOTHING: dict[str, Any] = {s.name: None for s in settings() if s.flags}
+NOTHING: dict[str, Any] = {s.name: None for s in settings()}
 
 
 def given(**options: Any) -> dict[str, Any]:
