@@ -133,7 +133,10 @@ class ModelSection(Settings):
     )
     scale: float = setting(1.0, "Metres per file unit.", "--scale", ge=1e-12, le=1e12)
     fit: Length | None = setting(  # after scaling: it overrides scale
-        None, "Scale the model's largest extent to this length: 15cm.", "--fit SIZE"
+        None,
+        "Scale the model's largest extent to this length: 15cm.",
+        "--fit SIZE",
+        gt=0,
     )
     rotate: Annotated[tuple[Turn, Turn, Turn], BeforeValidator(_three)] = setting(
         (0.0, 0.0, 0.0),
