@@ -133,11 +133,6 @@ def test_near_the_singularity_it_says_that_it_knows_nothing_or_refuses(
         assert known.condition > 1e6
 
 
-def test_fewer_than_three_views_are_refused() -> None:
-    with pytest.raises(NothingToDoError, match="at least 3"):
-        fit(views(2), FIRST_MODEL)
-
-
 def test_a_view_is_judged_by_its_pose_alone() -> None:
     v = views(3, noise_px=0.2)[0]
     assert rms(pose_residual(v, TRUE)) == pytest.approx(0.2 * np.sqrt(2), rel=0.2)
