@@ -107,7 +107,7 @@ def test_what_planning_takes_is_in_the_prediction(monkeypatch) -> None:
     monkeypatch.setattr(predict_module, "plan_clip", slow)
     monkeypatch.setattr("time.perf_counter", lambda: clock[0])
     made = choose(
-        JobConfig(), {}, [], None, LevelPolicy(), Errors(), PRICES, SIZE, print
+        JobConfig(), {}, [], None, LevelPolicy(), Errors({}, ""), PRICES, SIZE, print
     )[1]  # type: ignore[arg-type]
     assert made["predicted"]["phases"]["before"]["s"] == pytest.approx(
         SIZE.before_s + 0.5
