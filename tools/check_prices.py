@@ -77,7 +77,7 @@ def clip(folder: Path, scene: str, width: int, frames: int) -> Path:
         first, *_ = described.shot
         shot = first.model_copy(update={"frames": frames})
         described = described.model_copy(update={"clip": size, "shot": (shot,)})
-        make_clip(described, made, SCENES / scene, truth_pictures=False)
+        make_clip(described, made, truth_pictures=False)
     return made / "job.toml"
 
 

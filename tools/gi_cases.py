@@ -153,7 +153,6 @@ def job_of(scene: str, folder: Path) -> Path:
         make_clip(
             load_scene(source / "scene.toml"),
             made,
-            source,
             overwrite=True,
             truth_pictures=False,
         )

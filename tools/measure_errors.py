@@ -258,9 +258,7 @@ def planned(name: str, folder: Path) -> Job:
                     file="depth.mkv", noise=NOISE, holes=HOLES, edge_px=EDGE_PX
                 )
                 scene = scene.model_copy(update={"depth": depth})
-            make_clip(
-                scene, made, folder_of_scene, overwrite=True, truth_pictures=False
-            )
+            make_clip(scene, made, overwrite=True, truth_pictures=False)
     own = {} if files is None else tomllib.loads(files.read_text(encoding="utf-8"))
     more["pipeline"] = {
         "stages": [n for n in STAGES if n not in ALWAYS],

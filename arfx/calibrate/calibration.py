@@ -73,7 +73,6 @@ class Calibration(NamedTuple):
     found: Found
     copies: tuple[Rejected, ...]
     rejected: tuple[Rejected, ...]
-    upside_down: tuple[str, ...]
     notices: tuple[str, ...]
 
 
@@ -206,19 +205,12 @@ def calibrate(found: Found) -> Calibration:
         fitted, seen, known, projection, chosen.held_out_rms_px, len(rejected)
     )
     word, reasons = judge(measured)
-    usually = float(np.mean([v.upside_down for v in fitted.views])) > 0.5
-    turned = tuple(v.name for v in fitted.views if v.upside_down != usually)
     if copies:
         notices.append(
             f"{len(copies)} views are copies of others and count once:"
             f" {_first_names([c.name for c in copies])}"
         )
     notices += [f"{r.name} is left out: {r.reason}" for r in rejected]
-    if turned:
-        notices.append(
-            f"{len(turned)} views show the board upside down (corners renumbered):"
-            f" {_first_names(turned)}"
-        )
     if found.empty:
         notices.append(
             f"no board in {len(found.empty)} of {found.searched} pictures:"
@@ -239,7 +231,6 @@ def calibrate(found: Found) -> Calibration:
         found,
         tuple(copies),
         tuple(rejected),
-        turned,
         tuple(notices),
     )
 
@@ -316,13 +307,11 @@ def document(result: Calibration) -> dict[str, Any]:
             "other_boards": list(found.instead),
             "copies": [view._asdict() for view in result.copies],
             "rejected": [view._asdict() for view in result.rejected],
-            "upside_down": list(result.upside_down),
         },
         "views": [
             {
                 "name": v.name,
                 "corners": len(v.ids),
-                "finder": v.finder,
                 "rms_px": float(fitted.view_rms_px[i]),
                 "held_out_rms_px": float(result.chosen.held_out_px[i]),
                 "tilt_deg": float(seen.tilt_deg[i]),

@@ -52,17 +52,14 @@ class View:
 
     name : picture, or clip and time; size : (width, height) px
     ids : (n,) corner numbers, row by row; board_m : (n, 3) metres; pixels : (n, 2) float64
-    finder : which corner finder; sharpness : see `corner_sharpness`; upside_down : False
-    where the board cannot tell"""
+    sharpness : see `corner_sharpness`"""
 
     name: str
     size: tuple[int, int]
     ids: ndarray
     board_m: ndarray
     pixels: ndarray
-    finder: str
     sharpness: float = 0.0
-    upside_down: bool = False
 
     def without(self, number: int) -> View:
         """Without one of its corners."""
@@ -76,23 +73,12 @@ def find_view(gray: ndarray, spec: BoardSpec, name: str) -> View | None:
     found = (_chessboard if spec.kind == CHESSBOARD else _charuco)(gray, spec)
     if found is None:
         return None
-    ids, pixels, finder = found
-    board = spec.corners_m[ids]
-    # does the board's y, down its rows, run upwards in the picture?
-    rise = np.cov(board[:, 1], pixels[:, 1])[0, 1]
-    return View(
-        name,
-        gray.shape[::-1],
-        ids,
-        board,
-        pixels,
-        finder,
-        corner_sharpness(gray, pixels),
-        bool(rise < 0) and not spec.turn_is_ambiguous,
-    )
+    ids, pixels = found
+    sharpness = corner_sharpness(gray, pixels)
+    return View(name, gray.shape[::-1], ids, spec.corners_m[ids], pixels, sharpness)
 
 
-_Corners = tuple[ndarray, ndarray, str]  # of a View
+_Corners = tuple[ndarray, ndarray]  # ids and pixels of a View
 
 
 def _charuco(gray: ndarray, spec: BoardSpec) -> _Corners | None:
@@ -106,7 +92,7 @@ def _charuco(gray: ndarray, spec: BoardSpec) -> _Corners | None:
     if np.linalg.matrix_rank(board - board.mean(0), tol=0.1 * spec.square_m) < 2:
         return None  # all on one row: no plane
     white = (1 - spec.marker_m / spec.square_m) / 2
-    return ids, _refined(gray, corners, CLEAR_FRACTION * white), "charuco"
+    return ids, _refined(gray, corners, CLEAR_FRACTION * white)
 
 
 def _refined(gray: ndarray, rough: ndarray, share: float) -> ndarray:
@@ -124,9 +110,7 @@ def _refined(gray: ndarray, rough: ndarray, share: float) -> ndarray:
 def _chessboard(gray: ndarray, spec: BoardSpec) -> _Corners | None:
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     found, rough = cv2.findChessboardCorners(gray, spec.inner, flags=flags)
-    finder = "gradient"
     if not found:
-        finder = "gradient on the sector grid"
         flags = cv2.CALIB_CB_NORMALIZE_IMAGE
         found, rough = cv2.findChessboardCornersSB(gray, spec.inner, flags=flags)
     if not found:
@@ -145,7 +129,7 @@ def _chessboard(gray: ndarray, spec: BoardSpec) -> _Corners | None:
     )
     if not spec.turn_is_ambiguous and first > last:
         pixels = pixels[::-1].copy()
-    return np.arange(len(pixels)), pixels, finder
+    return np.arange(len(pixels)), pixels
 
 
 def corner_sharpness(gray: ndarray, pixels: ndarray) -> float:

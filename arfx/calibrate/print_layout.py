@@ -67,9 +67,8 @@ def parse_targets(texts: Sequence[str]) -> list[Target]:
                     f"markers {text!r}: the range runs backwards",
                     f"{m[1]}:{last}-{first}:{m[4]}",
                 )
-            # the last one first: a range that is too long fails before it is listed
-            falling = range(last, first - 1, -1)
-            out += [MarkerSpec.parse(f"{m[1]}:{i}:{m[4]}") for i in falling][::-1]
+            numbers = range(first, last + 1)
+            out += [MarkerSpec.parse(f"{m[1]}:{i}:{m[4]}") for i in numbers]
         else:
             out.append(MarkerSpec.parse(text))
     if any(isinstance(t, BoardSpec) for t in out) and len(out) > 1:
@@ -100,17 +99,15 @@ def lay_out(targets: Sequence[Target], page: str = "a4") -> Sheet:
     """
     width, height = page_mm(page)
     prints = [_board(t) if isinstance(t, BoardSpec) else _marker(t) for t in targets]
-    title = ", ".join(map(str, targets[:4])) + " ..." * (len(targets) > 4)
+    title = ", ".join(map(str, targets))
     for size in ((width, height), (height, width)):
         if (sheet := _sheet(title, prints, *size)) is not None:
             return sheet
     w, h, white = np.max([p.size_mm for p in prints], axis=0)
-    larger = [n for n, (a, b) in PAGES_MM.items() if a * b > width * height]
     raise ConfigError(
         f"{len(prints)} of {w:g} x {h:g} mm, {white:.3g} mm white around, with labels and ruler"
         f" do not fit on {width:g} x {height:g} mm, nor across",
-        "print smaller or fewer"
-        + (f", or --page {larger[0]} or larger" if larger else ""),
+        "print smaller or fewer, or on a larger --page",
     )
 
 

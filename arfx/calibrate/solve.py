@@ -130,15 +130,10 @@ def rms(residuals: ndarray) -> float:
 
 
 def fit(views: Sequence[View], model: LensModel) -> Fit:
-    """Intrinsics and one pose per view.
+    """Intrinsics and one pose per view, of three or more.
 
     Raises NothingToDoError if they do not determine a camera at all.
     """
-    if len(views) < 3:
-        raise NothingToDoError(
-            f"{len(views)} different views of the board",
-            "at least 3 are needed, 15 are good",
-        )
     boards = [v.board_m.astype(np.float32) for v in views]
     pixels = [v.pixels.astype(np.float32) for v in views]
     try:

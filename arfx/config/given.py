@@ -2,40 +2,31 @@
 
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import reduce
-from operator import getitem
 from typing import Any
 
-from pydantic import ValidationError
-
-from arfx.config.sections import JobConfig, Setting, settings
+from arfx.config.sections import Setting, settings
 from arfx.core.opener import parse_toml
 from arfx.errors import ConfigError
 
-Given = tuple[
-    Sequence[str], Any, str
-]  # key path in a job file, value, and the words that gave it
+KeyPath = tuple[str, ...]
+Given = tuple[KeyPath, Any, str]  # and value, and the words that gave it
 
 _MOST_PARTS = 8  # of a --set key: settings have two
 
 
 def overrides(options: Iterable[Given], texts: Sequence[str]) -> dict[str, Any]:
     """All of it as one tree. texts : of --set
-    Raises ConfigError naming the words, also for an option and a --set that give one key
-    different values."""
+    Raises ConfigError naming the words, also for an option and a --set that give one key."""
     tree: dict[str, Any] = {}
-    settings_given = [(*parse_setting(text), f"--set {text}") for text in texts]
-    for setting in settings_given:
-        _set_value(tree, *setting)
+    said: dict[KeyPath, str] = {}
+    for text in texts:
+        path, value = parse_setting(text)
+        said[path] = f"--set {text}"
+        _set_value(tree, path, value, said[path])
     for path, value, words in options:
-        others = [
-            said for key, _, said in settings_given if key[: len(path)] == list(path)
-        ]
-        if others and _meaning(path, value) != _meaning(
-            path, reduce(getitem, path, tree)
-        ):
+        if path in said:
             raise ConfigError(
-                f"{words} and {others[-1]} give different values to {'.'.join(path)}",
+                f"{words} and {said[path]} both give {'.'.join(path)}",
                 "give one of them",
             )
         _set_value(tree, path, value, words)
@@ -46,7 +37,7 @@ def section_overrides(given: Mapping[str, Any]) -> Iterator[Given]:
     """The settings of a job's sections that have an option. given : by the option's name;
     None, False and () are not given."""
     for s in settings():
-        value = given[s.name] if s.flags else None
+        value = given[s.name]
         if value is None or value is False or value == ():
             continue
         if value == "" and list[str] in s.kinds:  # an empty list of effects
@@ -56,7 +47,7 @@ def section_overrides(given: Mapping[str, Any]) -> Iterator[Given]:
         yield *option_given(s, value), words
 
 
-def option_given(s: Setting, value: Any) -> tuple[tuple[str, ...], Any]:
+def option_given(s: Setting, value: Any) -> tuple[KeyPath, Any]:
     """Key path and value, in a job's tables, of what an option gives. value : a list where
     the option is repeatable"""
     if s.repeated:
@@ -64,11 +55,11 @@ def option_given(s: Setting, value: Any) -> tuple[tuple[str, ...], Any]:
     return (s.section, s.key), not s.default if value is True else value
 
 
-def parse_setting(text: str) -> tuple[list[str], Any]:
-    """`--set raster.backend=rays` to (["raster", "backend"], "rays"). Values are TOML where
+def parse_setting(text: str) -> tuple[KeyPath, Any]:
+    """`--set raster.backend=rays` to (("raster", "backend"), "rays"). Values are TOML where
     they parse as it, else text. Raises ConfigError."""
     key, equals, value = text.partition("=")
-    parts = [p.strip() for p in key.split(".")]
+    parts = tuple(p.strip() for p in key.split("."))
     if not equals or len(parts) < 2 or not all(parts):
         raise ConfigError(
             f"--set {_short(text)!r} is not STAGE.KEY=VALUE",
@@ -95,9 +86,7 @@ def _short(text: str) -> str:
     return text if len(text) <= 80 else f"{text[:80]}…"
 
 
-def _set_value(
-    tree: dict[str, Any], path: Sequence[str], value: Any, words: str
-) -> None:
+def _set_value(tree: dict[str, Any], path: KeyPath, value: Any, words: str) -> None:
     """Put a value into nested tables. Raises ConfigError where the way is barred."""
     at: Any = tree
     for part in path[:-1]:
@@ -113,14 +102,3 @@ def _set_value(
             "give one of them",
         )
     at[path[-1]] = value
-
-
-def _meaning(path: Sequence[str], value: Any) -> Any:
-    """Equal for two ways to write a value of a job's key: 15cm and 0.15m."""
-    tree = value
-    for key in reversed(path):
-        tree = {key: tree}
-    try:
-        return JobConfig.model_validate(tree)
-    except ValidationError:
-        return str(value)  # errors in it are reported when the whole job is read

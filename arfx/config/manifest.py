@@ -36,7 +36,7 @@ def read_manifest(path: Path, parameters: Parameters) -> list[list[JobFile]]:
     shared, raw = (
         _toml(path, parameters) if path.suffix.lower() == ".toml" else _csv(path)
     )
-    options = {s.name: s for s in settings() if s.flags and bool not in s.kinds}
+    options = {s.name: s for s in settings() if bool not in s.kinds}
     rows, problems = [], []
     for row in raw:
         try:

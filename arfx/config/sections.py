@@ -133,7 +133,10 @@ class ModelSection(Settings):
     )
     scale: float = setting(1.0, "Metres per file unit.", "--scale", ge=1e-12, le=1e12)
     fit: Length | None = setting(  # after scaling: it overrides scale
-        None, "Scale the model's largest extent to this length: 15cm.", "--fit SIZE"
+        None,
+        "Scale the model's largest extent to this length: 15cm.",
+        "--fit SIZE",
+        gt=0,
     )
     rotate: Annotated[tuple[Turn, Turn, Turn], BeforeValidator(_three)] = setting(
         (0.0, 0.0, 0.0),
@@ -249,17 +252,15 @@ class JobConfig(Settings):
 
 
 class Setting(NamedTuple):
-    """A setting of a job file. kinds : its type and what that is made of;  repeated : its
-    section is an array of tables;
-    limits : of pydantic;  flags, metavar, help : of its option; no flags: it has none;
-    messages name the first"""
+    """A setting of a job file that has an option. kinds : its type and what that is made of;
+    repeated : its section is an array of tables;  flags, metavar, help : of the option;
+    messages name the first flag"""
 
     section: str
     key: str
     kinds: tuple[Any, ...]
     repeated: bool
     default: Any
-    limits: list[Any]
     flags: list[str]
     metavar: str | None
     help: str
@@ -272,7 +273,7 @@ class Setting(NamedTuple):
 
 @cache
 def settings() -> tuple[Setting, ...]:
-    """Every setting of a job file but those of the stages."""
+    """Every setting of a job file that has an option, but for those of the stages."""
     return tuple(
         Setting(
             section,
@@ -280,11 +281,11 @@ def settings() -> tuple[Setting, ...]:
             kinds(field.annotation),
             get_origin(JobConfig.model_fields[section].annotation) is tuple,
             field.default,
-            field.metadata,
-            *option_of(field),
+            *option,
         )
         for section, model in section_models().items()
         for key, field in model.model_fields.items()
+        if (option := option_of(field))[0]
     )
 
 

@@ -136,11 +136,6 @@ def _digest() -> str:
     return hashlib.sha256(parts.encode()).hexdigest()[:16]
 
 
-# Folders of compiled code, of which files are unpickled, that are not used as others may
-# write to them.
-open_folders: list[Path] = []
-
-
 @functools.cache
 def code_folder() -> Path:
     """Where compiled code is kept: the first place that can be written of NUMBA_CACHE_DIR,
@@ -187,8 +182,7 @@ def _prepare_folder(place: Path, shipped: Path) -> bool:
             # what another process finds half copied is stale, and compiled again
             shutil.copytree(shipped, place, dirs_exist_ok=True)
         place.mkdir(0o755, parents=True, exist_ok=True)
-        if _open_to_others(place):
-            open_folders.append(place)
+        if _open_to_others(place):  # files in it are unpickled
             return False
         tempfile.TemporaryFile(dir=place).close()
     except OSError:
@@ -214,22 +208,16 @@ def work_clock() -> float:
 
 @contextlib.contextmanager
 def telling(notice: Notice) -> Iterator[None]:
-    """Says once if, in the body, something is compiled, which takes some seconds, and whether
-    that is so because others may write to the folder of what was compiled before."""
+    """Says once if, in the body, something is compiled, which takes some seconds."""
     event = import_module("numba.core.event")
     said: list[str] = []
 
     def say(*_: object) -> None:
-        if said:
-            return
-        said.append("compiling kernels, once: this clip or its settings need them")
-        if open_folders:
+        if not said:
             said.append(
-                f"compiled code in {open_folders[0]} is not used, others may write"
-                " there: chmod go-w takes that from them"
+                "compiling kernels, once: this clip or its settings need them"
             )
-        for text in said:
-            notice(text)
+            notice(said[0])
 
     listener = type("", (event.Listener,), {"on_start": say, "on_end": say})()
     with event.install_listener("numba:compile", listener):

@@ -6,14 +6,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from arfx.core.codec import Document
+from arfx.core.cost import Prediction
 from arfx.core.rect import Rect
 
 
 @dataclass(frozen=True, slots=True)
 class Step(Document):
     """One stage run.
-    out : pixels it must deliver; need : pixels it is given; seconds : predicted, None =
-    unknown; between : its interval
+    out : pixels it must deliver; need : pixels it is given; cost : predicted, None = unknown
     """
 
     stage: str
@@ -21,8 +21,7 @@ class Step(Document):
     out: Rect
     need: Rect
     reason: str
-    seconds: float | None
-    between: tuple[float, float] | None = None
+    cost: Prediction | None
 
 
 @dataclass(frozen=True, slots=True)

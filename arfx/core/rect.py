@@ -51,12 +51,7 @@ class Rect(NamedTuple):
 
     def clip(self, other: Rect) -> Rect:
         """Intersection; EMPTY where the two do not meet."""
-        r = Rect(
-            max(self.x0, other.x0),
-            max(self.y0, other.y0),
-            min(self.x1, other.x1),
-            min(self.y1, other.y1),
-        )
+        r = Rect(*map(max, self[:2], other[:2]), *map(min, self[2:], other[2:]))
         return EMPTY if r.empty else r
 
     def union(self, other: Rect) -> Rect:
@@ -65,12 +60,7 @@ class Rect(NamedTuple):
             return other
         if other.empty:
             return self
-        return Rect(
-            min(self.x0, other.x0),
-            min(self.y0, other.y0),
-            max(self.x1, other.x1),
-            max(self.y1, other.y1),
-        )
+        return Rect(*map(min, self[:2], other[:2]), *map(max, self[2:], other[2:]))
 
     def shift(self, dx: int, dy: int) -> Rect:
         return Rect(self.x0 + dx, self.y0 + dy, self.x1 + dx, self.y1 + dy)

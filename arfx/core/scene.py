@@ -18,7 +18,7 @@ from arfx.core.model import Model
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.real_depth import RealPlane
 from arfx.core.scene_mesh import SceneMesh, flatten
-from arfx.errors import ConfigError, InputError
+from arfx.errors import InputError
 
 # Columns are the file's axes in marker axes (x right, y up the print, z out of it): a y-up
 # file's y goes out of the print.
@@ -42,17 +42,14 @@ class Placement:
 
     def world_from_model(self, model: Model, up: str | None = None) -> ndarray:
         """(4, 4) from the model file's coordinates to metres in marker axes; the middle of
-        the base is the origin. Raises ConfigError for a scale that is not above 0,
-        InputError for a model without extent."""
+        the base is the origin. Raises InputError for a model without extent."""
         axes = _UPRIGHT[up or model.up]
         box = model.corners @ axes.T
         low, high = box.min(0), box.max(0)
         extent = float((high - low).max())
-        if not np.isfinite(extent) or extent <= 0:
+        if not 1e-150 < extent < np.inf:
             raise InputError(f"model {model.source} has no extent")
         scale = self.scale if self.fit_m is None else self.fit_m / extent
-        if not np.isfinite(scale) or scale <= 0:
-            raise ConfigError(f"the model's scale must be above 0, is {scale:g}")
         base = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
         linear = rotation_from_euler_deg(*self.rotate_deg) * scale
         m = np.eye(4)
@@ -99,15 +96,9 @@ class Scene:
             [self.world_from_model, self.world_from_anchor.matrix]
         ).tobytes()
 
-    def mesh_at(self, time_s: float) -> SceneMesh:
-        """The model's triangles at a time of the clip; a model that does not move has the
-        same at all times.
-
-        Raises InputError where the model is larger than MAX_EXTENT_M."""
-        return self._rest_mesh
-
     @cached_property
-    def _rest_mesh(self) -> SceneMesh:
+    def mesh(self) -> SceneMesh:
+        """The model's triangles. Raises InputError where it is larger than MAX_EXTENT_M."""
         self.check_extent()
         return flatten(self.model, self.world_from_model)
 

@@ -70,7 +70,6 @@ def verify(
             make_clip(
                 load_scene(folder / "scene.toml"),
                 made,
-                folder,
                 progress,
                 overwrite=True,
                 truth_pictures=False,

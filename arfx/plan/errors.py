@@ -7,7 +7,7 @@ it promises holds on most clips."""
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +23,8 @@ class Errors:
     differ in or change
     source : where it was measured, in words"""
 
-    by_level: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    source: str = "not measured"
+    by_level: Mapping[str, Mapping[str, float]]
+    source: str
 
     def known(self, stage: str, level: str, best: str) -> float | None:
         """Grey levels, >= 0; 0 for the stage's best level, None where it was not measured."""

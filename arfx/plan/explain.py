@@ -7,7 +7,9 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from arfx.core.numerics import divide
 from arfx.core.plan import FramePlan
+from arfx.plan.levels import sum_correlated
 
 _NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.])")
 
@@ -21,38 +23,25 @@ def summarise(
     reasons : why it was left out, by text, with the number of frames; equal but for numbers
     = one text with ranges
     """
-    runs: dict[str, list[Any]] = defaultdict(list)
-    skips: dict[str, list[str]] = defaultdict(list)
-    for plan in plans:
-        for step in plan.steps:
-            runs[step.stage].append(step)
-        for skip in plan.skipped:
-            skips[skip.stage].append(skip.reason)
-    rows = []
+    every, rows = list(plans), []
     for name in names:
-        steps = runs[name]
-        seconds, between = (
-            [s.seconds for s in steps],
-            [s.between for s in steps],
-        )  # steps are all wrong by the same factor
+        steps = [s for plan in every for s in plan.steps if s.stage == name]
+        reasons = [
+            s.reason for plan in every for s in plan.skipped if s.stage == name
+        ]
+        costs = [s.cost for s in steps if s.cost is not None]
+        cost = sum_correlated(costs) if len(costs) == len(steps) else None
+        out = sum(s.out.area for s in steps)
         rows.append(
             {
                 "name": name,
                 "levels": dict(Counter(s.level for s in steps)),
                 "frames_run": len(steps),
-                "frames_skipped": len(skips[name]),
-                "area_fraction": (
-                    sum(s.out.area for s in steps) / (frame_area * len(steps))
-                    if steps
-                    else 0.0
-                ),
-                "predicted_s": None if None in seconds else float(sum(seconds)),
-                "predicted_between_s": (
-                    None
-                    if None in between
-                    else [float(sum(b[k] for b in between)) for k in (0, 1)]
-                ),
-                "reasons": group_reasons(skips[name]),
+                "frames_skipped": len(reasons),
+                "area_fraction": float(divide(out, frame_area * len(steps))),
+                "predicted_s": None if cost is None else cost.seconds,
+                "predicted_between_s": None if cost is None else list(cost[1:]),
+                "reasons": group_reasons(reasons),
             }
         )
     return rows

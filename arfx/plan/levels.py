@@ -156,13 +156,18 @@ def _worst(state: Mapping[ShotStage, Option]) -> float:
 
 
 def total(state: Mapping[ShotStage, Option]) -> Prediction:
-    """Work of all stages: errors of one stage's shots are correlated, those of different
-    stages independent.
+    """Work of all stages."""
+    return sum_by_stage((stage, o.cost) for (_, stage), o in state.items())
+
+
+def sum_by_stage(costs: Iterable[tuple[str, Prediction]]) -> Prediction:
+    """Predictions of one stage are all wrong by the same factor, those of different stages
+    independently.
     """
     by_stage: dict[str, list[Prediction]] = {}
-    for (_, stage), option in state.items():
-        by_stage.setdefault(stage, []).append(option.cost)
-    return sum_independent(sum_correlated(costs) for costs in by_stage.values())
+    for stage, cost in costs:
+        by_stage.setdefault(stage, []).append(cost)
+    return sum_independent(map(sum_correlated, by_stage.values()))
 
 
 def sum_correlated(parts: Iterable[Prediction]) -> Prediction:

@@ -48,12 +48,7 @@ def plan_frame(
         cost = prices.predict(
             f"{stage.name}/{level}", terms_of(need, facts, scene, new)
         )
-        seconds, between = None, None
-        if cost is not None:
-            seconds, between = cost.seconds, (cost.low_s, cost.high_s)
-        steps.append(
-            Step(stage.name, level, out, need, demand.reason, seconds, between)
-        )
+        steps.append(Step(stage.name, level, out, need, demand.reason, cost))
         read, changed = read.union(need), changed.union(out)
     return FramePlan(facts.index, read, changed, tuple(steps), tuple(skipped))
 

@@ -170,9 +170,7 @@ def mirrored_room(clip: Clip, shot: Shot, picture: ndarray) -> ndarray:
     room = world.at(float(world.frame_times_s[shot.facts.index]))
     # it throws its shadow
     ball = [*(low + high) / 2, (high - low).max() / 2, *(0.5, 0.5, 0.5), 0]
-    # whatever light of the room comes from no lamp
-    sky = np.tile(np.asarray(room.ambient, float), (2, 4, 1))
-    room = room._replace(spheres=np.vstack([room.spheres, [ball]]), sky=sky)
+    room = room._replace(spheres=np.vstack([room.spheres, [ball]]))
     covered = shot.layer(Layer.COVERAGE) > 0.5
     normal, position = (
         shot.layer(name)[covered].astype(float)
@@ -180,7 +178,8 @@ def mirrored_room(clip: Clip, shot: Shot, picture: ndarray) -> ndarray:
     )
     seen = position - shot.facts.pose.inverse().translation_m
     towards = seen - 2 * (seen * normal).sum(-1, keepdims=True) * normal
-    light, _ = radiance(mirror_rays(position + _LIFT_M * normal, towards), room)
+    light, met = radiance(mirror_rays(position + _LIFT_M * normal, towards), room)
+    light[met == 1] = room.ambient  # whatever light of the room comes from no lamp
     unit = normalise(towards)
     for lamp in room.lights:
         cosine = 1 / np.hypot(1, lamp[6])  # of half its angular size

@@ -141,7 +141,7 @@ class Work:
         read = parse_scene(scene, "scene") if isinstance(scene, str) else scene
         folder = self.folder / f"clip-{_digest(read.model_dump_json())}"
         if not folder.exists():
-            make_clip(read, folder, None, self._checked, truth_pictures=False)
+            make_clip(read, folder, self._checked, truth_pictures=False)
         return Clip(folder, read)
 
     def model(self, name: str) -> str:

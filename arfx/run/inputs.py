@@ -219,8 +219,6 @@ def open_clip(config: JobConfig) -> tuple[ClipInfo, Camera, list[str]]:
 
 def placement(config: JobConfig) -> Placement:
     m = config.model
-    if m.fit is not None and m.fit <= 0:
-        raise ConfigError(f"--fit must be above 0, is {m.fit:g} m")
     return Placement(m.scale, m.fit, m.rotate, m.offset)
 
 

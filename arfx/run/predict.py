@@ -22,7 +22,7 @@ from arfx.papers import PAPER
 from arfx.plan.clip import LevelPolicy, plan_clip
 from arfx.plan.errors import Errors
 from arfx.plan.explain import without_price
-from arfx.plan.levels import sum_correlated
+from arfx.plan.levels import sum_by_stage, sum_correlated
 from arfx.run.schedule import borders, elapsed
 
 DECODE_SPREAD = (
@@ -148,7 +148,7 @@ def _share(
         return 1.0 / size.workers
     if size.workers == 1:
         return max(total_s - encode_s, encode_s) / total_s
-    planned = [sum(s.seconds or 0.0 for s in p.steps) for p in plans]
+    planned = [sum(s.cost.seconds for s in p.steps if s.cost) for p in plans]
     scale = stages_s / (sum(planned) or 1.0)
     per_frame_s = (total_s - stages_s) / size.frames
     loads = [
@@ -185,14 +185,9 @@ def prepare_one(
 
 def time_of_stages(plans: Sequence[FramePlan]) -> Prediction | None:
     """Of all steps of the plans; None where one is not known."""
-    by_stage: dict[str, list[Prediction]] = {}
-    for step in (s for plan in plans for s in plan.steps):
-        if step.seconds is None or step.between is None:
-            return None
-        by_stage.setdefault(step.stage, []).append(
-            Prediction(step.seconds, *step.between)
-        )
-    return sum_independent(sum_correlated(parts) for parts in by_stage.values())
+    steps = [step for plan in plans for step in plan.steps]
+    known = [(step.stage, step.cost) for step in steps if step.cost is not None]
+    return sum_by_stage(known) if len(known) == len(steps) else None
 
 
 def level_policy(

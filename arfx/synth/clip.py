@@ -3,24 +3,22 @@ input where the scene has one.
 
 Its folder appears when it is complete."""
 
-import dataclasses
 import os
 import re
 import shutil
 import tomllib
-from collections.abc import Callable
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from arfx.core.camera import Camera
 from arfx.core.guard import check_file_name, part_name
 from arfx.core.numerics import divide, normalise
 from arfx.core.opener import why
 from arfx.core.pose import Pose
 from arfx.core.toml_text import to_toml
+from arfx.core.waiting import Progress
 from arfx.errors import ConfigError, RenderError
 from arfx.media.cameras import save_camera
 from arfx.media.images import write_png
@@ -28,7 +26,6 @@ from arfx.synth.description import Marker, SceneFile
 from arfx.synth.encode import ClipFile, VideoFile, measured_steps
 from arfx.synth.picture import Picture, expose, gain_at
 from arfx.synth.rays import LIFT_M, surfaces
-from arfx.synth.shapes import write_model
 from arfx.synth.truth import (
     DEPTH_UNIT_M,
     FLOW_UNIT_PX,
@@ -46,13 +43,11 @@ _MADE = re.compile(
     r"camera\.yaml|model\.glb|job\.toml|truth\.jsonl"
     r"|truth(/(depth|mask|flow)(/\d{6,}\.png)?)?"
 )
-Progress = Callable[[str, int, int | None], None]
 
 
 def make_clip(
     scene: SceneFile,
     folder: Path,
-    scene_folder: Path | None = None,
     progress: Progress = lambda *_: None,
     overwrite: bool = False,
     truth_pictures: bool = True,
@@ -60,7 +55,6 @@ def make_clip(
     """Render a scene into a new folder.
 
     folder : made anew; it appears by rename when everything in it is complete
-    scene_folder : where picture files that the scene names are
     truth_pictures : False leaves out depth, masks and flow
     Raises ConfigError if the folder exists (without overwrite), RenderError if it cannot be
     written."""
@@ -69,13 +63,7 @@ def make_clip(
     part = part_name(folder.absolute())
     try:
         part.mkdir(parents=True)
-    except OSError as e:
-        raise RenderError(
-            f"cannot write into {folder.parent}: {e.strerror}",
-            "name another place with -o",
-        ) from None
-    try:
-        truth = _fill(scene, part, scene_folder, progress, truth_pictures)
+        truth = _fill(scene, part, progress, truth_pictures)
         if os.path.lexists(folder):
             check_replaceable(
                 folder, overwrite
@@ -122,11 +110,10 @@ def check_replaceable(folder: Path, overwrite: bool = True) -> None:
 def _fill(
     scene: SceneFile,
     folder: Path,
-    scene_folder: Path | None,
     progress: Progress,
     truth_pictures: bool,
 ) -> Truth:
-    world = World(scene, scene_folder)
+    world = World(scene)
     picture, frames = Picture(world), []
     kinds = scene.truth if truth_pictures else ()
     for kind in kinds:
@@ -158,9 +145,9 @@ def _fill(
                     write_depth(path, depth)
                 else:
                     write_png(path, owner)
-    stated = stated_camera(scene, world.camera)
-    save_camera(folder / "camera.yaml", stated)
-    write_model(scene.model.shape, folder / "model.glb")
+    save_camera(folder / "camera.yaml", world.camera)
+    model = Path(__file__).with_name(f"{scene.model.shape}.glb")
+    shutil.copyfile(model, folder / "model.glb")
     (folder / "job.toml").write_text(job_toml(scene), encoding="utf-8")
     configured = scene.configured
     header = {
@@ -169,7 +156,6 @@ def _fill(
         "world": configured[0].spec.key if configured else None,
         "markers": {m.spec.key: m.spec.size_m for m in configured},
         "camera": world.camera.to_json(),
-        "stated_camera": stated.to_json(),
         "depth_unit_m": DEPTH_UNIT_M,
         "flow_unit_px": FLOW_UNIT_PX,
         "objects": {i: p.label for i, p in enumerate(scene.objects, 1)},
@@ -221,7 +207,7 @@ def frame_truth(world: World, n: int) -> FrameTruth:
             "rgb": row[3:6].tolist(),
             "angular_size_deg": float(2 * np.degrees(np.arctan(row[6]))),
         }
-        for row in ([] if scene.light.environment else room.lights)
+        for row in room.lights
     ]
     return FrameTruth(
         n,
@@ -235,13 +221,6 @@ def frame_truth(world: World, n: int) -> FrameTruth:
         world.room.ambient.tolist(),
         lights,
     )
-
-
-def stated_camera(scene: SceneFile, camera: Camera) -> Camera:
-    """The camera that camera.yaml states."""
-    error = 1 + scene.hidden.focal_error_percent / 100
-    matrix = camera.matrix * [[error, 1, 1], [1, error, 1], [1, 1, 1]]
-    return dataclasses.replace(camera, matrix=matrix, source="synth")
 
 
 def job_toml(scene: SceneFile) -> str:

@@ -95,13 +95,9 @@ Keys = Annotated[tuple[Key, ...], AfterValidator(_rising)]
 class Motion(Settings):
     """How an object moves; added to its pose.
 
-    turn and sway act in the object's own axes, keys replace the pose."""
+    sway acts in the object's own axes, keys replace the pose."""
 
-    kind: Literal["still", "turn", "sway", "keys"] = "still"
-    # turn: axis
-    axis: Angles = (1.0, 0.0, 0.0)
-    # turn: from, to over the clip
-    angle_deg: Pair = (0.0, 0.0)
+    kind: Literal["still", "sway", "keys"] = "still"
     # sway: largest tilt about x and y, in two incommensurate periods
     tilt_deg: float = 0.0
     # sway: largest displacement
@@ -158,16 +154,12 @@ class Lens(Settings):
 
 
 class Texture(Settings):
-    kind: Literal[
-        "plain", "wood", "carpet", "noise", "checker", "poster", "image"
-    ] = "plain"
+    kind: Literal["plain", "wood", "carpet", "noise", "checker", "poster"] = "plain"
     # linear albedo 0..1, or the darker of two
     colour: Colour = (0.5, 0.5, 0.5)
     second: Colour = (0.7, 0.7, 0.7)
     # size of the pattern's features
     feature_m: PositiveLength = 0.02
-    # image: an sRGB picture, beside the scene file
-    file: Path | None = None
 
 
 class SceneObject(Settings):
@@ -248,12 +240,6 @@ class Light(Settings):
     # radiance of a white surface without the lamps
     ambient_rgb: Colour = (0.3, 0.3, 0.3)
     lamps: tuple[Lamp, ...] = (Lamp(),)
-    # HDR picture (equirectangular, z up) or a built-in one; lights with true shadows,
-    # replaces ambient
-    environment: Literal["", "studio", "sunset"] | Path = ""
-    environment_scale: Positive = 1.0
-    # directional lights it is divided into
-    environment_lights: int = Field(default=48, ge=1, le=1024)
 
 
 class Exposure(Settings):
@@ -279,11 +265,8 @@ class Hidden(Settings):
     # curve that the camera really applies
     transfer: TransferName = "srgb"
     noise_correlation_px: float = Field(default=0.0, ge=0, le=8)
-    drift_stops: float = 0.0
     # time from the first row's to the last row's exposure
     rolling_shutter_s: NonNegative = 0.0
-    # camera.yaml states a focal length that much too large
-    focal_error_percent: float = 0.0
     # strength of a highlight on the prints
     gloss: Share = 0.0
     # ink albedo at the sheet's right edge; grows from the left
@@ -305,7 +288,8 @@ class DepthInput(Settings):
 
 
 class ModelPart(Settings):
-    shape: str = "robot"
+    # block: of 12 faces;  robot: a toy with a flag, 8,580 faces
+    shape: Literal["block", "robot"] = "robot"
     fit: str = "12cm"
 
 
@@ -395,5 +379,5 @@ def parse_scene(text: str, where: str = "scene.toml") -> SceneFile:
 
 
 def load_scene(path: Path) -> SceneFile:
-    """A scene file; picture files in it are found beside it. Raises InputError, ConfigError."""
+    """A scene file. Raises InputError, ConfigError."""
     return parse_scene(read_text(path, "scene"), str(path))

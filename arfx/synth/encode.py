@@ -88,10 +88,18 @@ class ClipFile(VideoFile):
             context.thread_count = 1  # another number of threads gives another stream
         if clip.rotation_deg:
             self._stream.set_display_rotation(clip.rotation_deg)
-        self._tone: Any = None
         if clip.tone_hz:
-            sound = "flac" if lossless else "aac"
-            self._tone = self._out.add_stream(sound, rate=48_000)
+            tone = self._out.add_stream("flac" if lossless else "aac", rate=48_000)
+            turns = clip.tone_hz * np.arange(int(48_000 * scene.frames / clip.fps))
+            wave = 0.2 * np.sin(2 * np.pi * turns / 48_000)
+            sound = av.AudioFrame.from_ndarray(
+                wave.astype(np.float32)[None], "fltp", "mono"
+            )
+            sound.sample_rate, sound.time_base = 48_000, Fraction(1, 48_000)
+            sound.pts = round(clip.start_s * 48_000)
+            # the encoder cuts it and turns it into what it takes
+            for part in (sound, None):
+                self._out.mux(tone.encode(part))
 
     def write(self, coded: ndarray, time_s: float) -> None:
         """coded (h, w, 3) float R'G'B' 0..1, upright;  time_s from the clip's first frame."""
@@ -111,20 +119,6 @@ class ClipFile(VideoFile):
         self.put(
             samples.astype(np.uint8).reshape(shape), self._scene.clip.start_s + time_s
         )
-
-    def close(self) -> None:
-        scene = self._scene
-        if self._tone is not None:
-            samples = np.arange(int(48_000 * scene.frames / scene.clip.fps))
-            turns = (scene.clip.tone_hz or 0) * samples / 48_000
-            wave = (0.2 * np.sin(2 * np.pi * turns)).astype(np.float32)
-            frame = av.AudioFrame.from_ndarray(wave[None], "fltp", "mono")
-            frame.sample_rate, frame.time_base = 48_000, Fraction(1, 48_000)
-            frame.pts = round(scene.clip.start_s * 48_000)
-            # the encoder cuts it and turns it into what it takes
-            for part in (frame, None):
-                self._out.mux(self._tone.encode(part))
-        super().close()
 
 
 def _tag(what: Any) -> None:

@@ -170,10 +170,9 @@ def _noise(seed: int, numbers: ndarray) -> ndarray:
 
 def gain_at(scene: SceneFile, time_s: float) -> float:
     """The exposure's gain at a time: the stated one, wandering as automatic exposure does."""
-    stops = (scene.exposure.drift_stops + scene.hidden.drift_stops) * np.sin(
-        2 * np.pi * time_s / scene.exposure.drift_period_s
-    )
-    return float(scene.exposure.gain * 2.0**stops)
+    asked = scene.exposure
+    swing = np.sin(2 * np.pi * time_s / asked.drift_period_s)
+    return float(asked.gain * 2.0 ** (asked.drift_stops * swing))
 
 
 def expose(scene: SceneFile, radiance: ndarray, frame: int, time_s: float) -> ndarray:

@@ -23,7 +23,6 @@ import numpy as np
 from numpy import ndarray
 
 from arfx.core.compiled import line_kernel
-from arfx.core.numerics import normalise
 from arfx.core.pose import Pose
 from arfx.core.vectors import cross, dot, minus, scaled, shifted, unit, vector
 
@@ -54,8 +53,7 @@ class Rays(NamedTuple):
 
 
 class Room(NamedTuple):
-    """What there is, by rows, and its ambient light (3,);  table (n, 3): of the textures
-    sky (h, w, 3): radiance by direction, (0, ...) = black"""
+    """What there is, by rows, and its ambient light (3,);  table (n, 3): of the textures"""
 
     rects: ndarray
     spheres: ndarray
@@ -63,7 +61,6 @@ class Room(NamedTuple):
     ambient: ndarray
     textures: ndarray
     table: ndarray
-    sky: ndarray
 
 
 @line_kernel(error_model="numpy")
@@ -231,16 +228,6 @@ def radiance(rays: Rays, room: Room) -> tuple[ndarray, ndarray]:
     and on a print."""
     light, numbers = np.zeros(rays.starts.shape), np.ones(len(rays.starts), np.uint16)
     shade(rays, room, light, numbers)
-    if room.sky.size:
-        away = (numbers == 1) & np.isfinite(rays.towards[:, 0])
-        height, width = room.sky.shape[:2]
-        x, y, up = normalise(rays.towards[away]).T
-        light[away] = room.sky[
-            np.minimum(
-                ((0.5 - np.arcsin(up) / np.pi) * height).astype(int), height - 1
-            ),
-            ((0.5 - np.arctan2(y, x) / (2 * np.pi)) * width).astype(int) % width,
-        ]
     return light, numbers
 
 

@@ -3,7 +3,7 @@ per pixel.
 
 Header: {"arfx_truth": 1, "world": key of the marker that arfx takes as world or null,
 "markers": {key: size_m},
-  "camera": the true camera, "stated_camera": what camera.yaml says, "depth_unit_m",
+  "camera": the true camera, as camera.yaml says, "depth_unit_m",
   "flow_unit_px", "objects": {number: name}}
 Frame: see FrameTruth. Depth: 16-bit PNG times depth_unit_m, along the axis, 0 = nothing.
 Mask: 8-bit PNG of object

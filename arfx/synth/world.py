@@ -3,7 +3,6 @@ under which light; exact poses by time.
 """
 
 import zlib
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -25,12 +24,7 @@ from arfx.synth.description import (
     Sphere,
 )
 from arfx.synth.rays import Room
-from arfx.synth.textures import (
-    environment_lights,
-    environment_picture,
-    sheet_albedo,
-    texture_albedo,
-)
+from arfx.synth.textures import sheet_albedo, texture_albedo
 
 _X, _Y, _Z = np.eye(3)
 # (u, v) of a box's sides; a plane or a sheet is the first of them
@@ -42,10 +36,10 @@ class World:
     """Everything of a scene that does not depend on time, made once.
     camera : the true one;  frame_times_s : (frames,) from 0 at the first frame;  shots :
     (frames,) shot of each frame
-    room : each thing in its own axes, and the lights of a panorama
+    room : each thing in its own axes, without the lamps
     """
 
-    def __init__(self, scene: SceneFile, folder: Path | None = None) -> None:
+    def __init__(self, scene: SceneFile) -> None:
         self.scene = scene
         self.camera = true_camera(scene)
         n = np.arange(scene.frames, dtype=float)
@@ -58,16 +52,10 @@ class World:
         self.shots = np.repeat(
             np.arange(len(scene.shot)), [s.frames for s in scene.shot]
         )
-        self.room = _room(scene, folder)
-
-    @property
-    def duration_s(self) -> float:
-        return float(self.frame_times_s[-1])
+        self.room = _room(scene)
 
     def lights_at(self, time_s: float) -> ndarray:
         """(n, 7) tracer lights at a time."""
-        if self.scene.light.environment:
-            return self.room.lights
         rows = []
         for li in self.scene.light.lamps:
             swing = np.sin(2 * np.pi * time_s / li.period_s) * np.array(li.swing_deg)
@@ -84,7 +72,7 @@ class World:
         own, by_name = [], {}
         for i, p in enumerate(self.scene.objects):
             name = p.label or f"object {i}"
-            pose = room_from_object(p, time_s, self.duration_s, self.scene.seed, name)
+            pose = room_from_object(p, time_s, self.scene.seed, name)
             own.append(pose)
             by_name[name] = by_name[p.key or name] = pose
         return tuple(
@@ -141,8 +129,8 @@ def true_camera(scene: SceneFile) -> Camera:
     )
 
 
-def _room(scene: SceneFile, folder: Path | None) -> Room:
-    """Each thing in its own axes, and the lights of a panorama."""
+def _room(scene: SceneFile) -> Room:
+    """Each thing in its own axes, without the lamps."""
     hidden = scene.hidden
     rects, spheres, textures = list[Any](), list[Any](), list[Any]()
     tables = [np.zeros((1, 3))]
@@ -162,7 +150,6 @@ def _room(scene: SceneFile, folder: Path | None) -> Room:
                 p.texture,
                 (max(x, y), max(y, z)) if isinstance(p, Box) else (x, y),
                 scene.seed * 1000 + number - 1,
-                folder,
             )
             smallest = float(isinstance(p, Box) or p.texture.kind != "checker")
         half = size_m / 2
@@ -175,21 +162,13 @@ def _room(scene: SceneFile, folder: Path | None) -> Room:
         rgb = np.broadcast_to(picture, (h, w, 3)).astype(float)
         textures.append([sum(map(len, tables)), w, h, smallest])
         tables.append(np.asarray(cv2.integral(rgb), float).reshape(-1, 3))
-    ambient = np.array(scene.light.ambient_rgb, float)
-    sky, lights = np.zeros((0, 0, 3)), np.zeros((0, 7))
-    if scene.light.environment:
-        sky = environment_picture(scene.light.environment, folder)
-        sky = sky * scene.light.environment_scale
-        lights = environment_lights(sky, scene.light.environment_lights)
-        ambient = np.zeros(3)
     return Room(
         np.array(rects, float).reshape(-1, 17),
         np.array(spheres, float).reshape(-1, 8),
-        lights,
-        ambient,
+        np.zeros((0, 7)),
+        np.array(scene.light.ambient_rgb, float),
         np.array(textures, float).reshape(-1, 4),
         np.concatenate(tables),
-        sky,
     )
 
 
@@ -228,7 +207,8 @@ def camera_from_room(
 ) -> Pose:
     """Pose of the camera, `time_s` after its shot began."""
     target, position = np.array([path.target_m, path.position_m], float)
-    share = _share(time_s, duration_s)
+    # 0 at the beginning and before, 1 at the end and after
+    share = float(np.clip(divide(time_s, duration_s), 0.0, 1.0))
     if path.kind == "orbit":
         position = target + path.radius_m * direction_of(
             *(np.radians([path.azimuth_deg, path.elevation_deg]) @ (1 - share, share))
@@ -246,18 +226,13 @@ def camera_from_room(
     return _trembling(both, path.hand_deg, path.hand_m) @ look_at(position, target)
 
 
-def _share(time_s: float, duration_s: float) -> float:
-    """0 at the beginning and before, 1 at the end and after."""
-    return float(np.clip(divide(time_s, duration_s), 0.0, 1.0))
-
-
 def _trembling(noise: ndarray, turn_deg: float, travel_m: float) -> Pose:
     """A small motion from unit noise (6,): a turn, then a shift."""
     return Pose.from_rotvec(np.radians(turn_deg) * noise[:3], travel_m * noise[3:])
 
 
 def room_from_object(
-    placed: SceneObject, time_s: float, duration_s: float, seed: int, name: str
+    placed: SceneObject, time_s: float, seed: int, name: str
 ) -> Pose:
     """Pose of an object in its parent's axes (the room's, if it is attached to nothing)."""
     motion = placed.motion
@@ -272,11 +247,6 @@ def room_from_object(
             *_between(motion.keys, "rotate_deg", time_s)
         )
         pose = Pose(rotation, _between(motion.keys, "position_m", time_s))
-    elif motion.kind == "turn":
-        share = _share(time_s, duration_s)
-        angle = np.radians(motion.angle_deg) @ (1 - share, share)
-        axis = normalise(np.asarray(motion.axis, float))
-        pose = pose @ Pose.from_rotvec(axis * angle, np.zeros(3))
     else:
         a = 2 * np.pi * time_s / motion.period_s
         golden = (

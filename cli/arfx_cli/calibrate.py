@@ -32,21 +32,34 @@ if TYPE_CHECKING:
     from arfx.calibrate.calibration import Picture
 
 STILLS = {
-    *(".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff"),
-    *(".webp", ".pgm", ".ppm", ".jp2", ".heic", ".heif"),
+    ".jpg",
+    ".jpeg",
+    ".png",
+    ".bmp",
+    ".tif",
+    ".tiff",
+    ".webp",
+    ".pgm",
+    ".ppm",
+    ".jp2",
+    ".heic",
+    ".heif",
 }
 # frames of a video that are searched for the board: the sharpest of equal intervals
 VIDEO_SEARCHED = 120
 
 
 class _Camera(NamedTuple):
-    """source : what its pictures come from;  paths : pictures and videos;  output : its file;
-    plots : of residuals and of coverage"""
+    """source : what its pictures come from;  paths : pictures and videos;  output : its file"""
 
     source: Path
     paths: list[Path]
     output: Path
-    plots: list[Path]
+
+    @property
+    def plot(self) -> Path:
+        """Of the residuals."""
+        return self.output.with_name(f"{self.output.stem}-residuals.png")
 
 
 @arfx_command("calibrate")
@@ -54,7 +67,6 @@ def command(
     inputs: tuple[Path, ...],
     board: str,
     output: Path,
-    report: Path | None,
     overwrite: bool,
 ) -> None:
     """Camera intrinsics from pictures or videos of a printed board, with a verdict: good,
@@ -81,15 +93,14 @@ def command(
             )
     several = has_field(output)
     if several:
-        cameras = _several(inputs, output, report)
+        cameras = _several(inputs, output)
     else:
-        cameras = [_camera(inputs[0], _pictures_in(inputs), output, report)]
+        cameras = [_Camera(inputs[0], _pictures_in(inputs), output)]
     read = (("picture", path) for camera in cameras for path in camera.paths)
     guard = Guard(read, overwrite)
     for camera in cameras:
-        guard.file(camera.output, folder_made=several)
-        for path in camera.plots:
-            guard.file(path, folder_made=several or report is not None)
+        for path in (camera.output, camera.plot):
+            guard.file(path, folder_made=several)
     if not several:
         wrote_json(_calibrate(cameras[0], spec, ""))
         return
@@ -135,7 +146,7 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
         file_extras,
         find_board,
     )
-    from arfx.calibrate.plots import write_plots
+    from arfx.calibrate.plot import write_plot
     from arfx.media.cameras import save_camera
     from arfx.run.pages import render
 
@@ -151,8 +162,7 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
             lambda searched, _: progress("search", searched, total),
         )
     result = calibrate(found)
-    camera.plots[0].parent.mkdir(parents=True, exist_ok=True)
-    write_plots(result, camera.plots)
+    write_plot(result, camera.plot)
     save_camera(camera.output, result.fitted.camera, **file_extras(result))
     d = document(result)
     known = d["standard_deviations"]
@@ -172,31 +182,18 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
             f"the calibration is {result.verdict.word}: {'; '.join(result.verdict.reasons)}"
         )
     detail_template("calibrate/models.jinja", models=d["models"])
-    output, *plots = map(str, [camera.output, *camera.plots])
-    say(f"wrote {', '.join([output, *plots])}")
-    return d | {"output": output, "plots": plots}
+    say(f"wrote {camera.output}, {camera.plot}")
+    return d | {"output": str(camera.output), "plot": str(camera.plot)}
 
 
-def _camera(
-    source: Path, paths: list[Path], output: Path, report: Path | None
-) -> _Camera:
-    folder = report or output.absolute().parent
-    before = "" if report else f"{output.stem}-"
-    plots = [folder / f"{before}{name}.png" for name in ("residuals", "coverage")]
-    return _Camera(source, paths, output, plots)
-
-
-def _several(
-    inputs: tuple[Path, ...], pattern: Path, report: Path | None
-) -> list[_Camera]:
+def _several(inputs: tuple[Path, ...], pattern: Path) -> list[_Camera]:
     """One camera for each argument, or for what is in a folder that holds no pictures itself."""
-    # plots of an earlier run are there
-    own = {p.resolve() for p in (fixed_folder(pattern), report) if p}
+    own = fixed_folder(pattern).resolve()  # plots of an earlier run are there
     out: dict[Path, _Camera] = {}
     for path in inputs:
         sources = [path] if not path.is_dir() or _stills(path) else _cameras_in(path)
         for source in sources:
-            if source.resolve() in own:
+            if source.resolve() == own:
                 continue
             file = named(pattern, source)
             if file in out:
@@ -204,8 +201,7 @@ def _several(
                     f"{out[file].source} and {source} go to one output, {file}",
                     "{stem} and {parent} keep them apart",
                 )
-            plots = report and report / file.stem
-            out[file] = _camera(source, _pictures_in((source,)), file, plots)
+            out[file] = _Camera(source, _pictures_in((source,)), file)
     return list(out.values())
 
 

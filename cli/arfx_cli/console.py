@@ -8,8 +8,8 @@ import contextlib
 import json
 import sys
 import tomllib
+from collections import Counter
 from collections.abc import Callable
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -41,19 +41,12 @@ class Command(click.Command):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Of an option that takes one value click uses the last, and drops others in silence."""
         used, _, order = self.make_parser(ctx).parse_args([*args])
-        words = [part for w in args for part in w.split("=", w.startswith("--"))]
-        for option in {p for p in order if isinstance(p, click.Option)}:
-            count, last = order.count(option), used.get(option.name)
-            if count < 2 or option.multiple or option.is_flag:
-                continue
-            values = [
-                value for w, value in pairwise([*words, ""]) if w in option.opts
-            ]
-            lost = "".join(f", not {value}" for value in values if value != last)
-            if lost or len(values) < count:  # those of -oNAME
+        for p, count in Counter(order).items():
+            single = isinstance(p, click.Option) and not (p.multiple or p.is_flag)
+            if single and count > 1:
                 note(
-                    f"{option.opts[-1]} takes one value and is given {count}: {last} is"
-                    f" used{lost}"
+                    f"{p.opts[-1]} takes one value and is given {count}:"
+                    f" {used[p.name]} is used"
                 )
         return super().parse_args(ctx, args)
 

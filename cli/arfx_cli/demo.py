@@ -62,17 +62,13 @@ def command(folder: Path, overwrite: bool) -> None:
             notice=note,
         )
         report = process(config, options)
-    written = {
-        "picture": "picture.png",
-        "clip before": "clip/clip.mp4",
-        "clip after": "out.mp4",
-        "report": "report/report.html",
-    }
     say_job(report)
-    files = {
-        what.replace(" ", "_"): str(folder / name) for what, name in written.items()
+    written = {
+        "picture": str(picture),
+        "clip_before": str(folder / "clip" / "clip.mp4"),
+        "clip_after": str(out),
+        "report": str(report_dir / "report.html"),
     }
-    if wrote_json(files | {"job": report}):
-        return
-    for what, name in written.items():
-        click.echo(f"{what + ':':12} {folder / name}")
+    if not wrote_json(written | {"job": report}):
+        for what, file in written.items():
+            click.echo(f"{what.replace('_', ' ') + ':':12} {file}")

@@ -21,22 +21,16 @@ if TYPE_CHECKING:
 
 def job_options() -> list[click.Parameter]:
     """What a job is, where it goes and how it is run: the parameters of a command."""
-    made = [_parameter(s) for s in settings() if s.flags]
-    made += [parameter(**row) for row in TABLE["job"]["parameter"]]
-    every = {p.opts[-1].lstrip("-"): p for p in made}
-    order = TABLE["job"]["order"].split()
-    return [*({name: every[name] for name in order} | every).values()]
+    made = [_parameter(s) for s in settings()]
+    return made + [parameter(**row) for row in TABLE["job"]["parameter"]]
 
 
 def _parameter(s: Setting) -> click.Parameter:
     kind: Any = None
     if Path in s.kinds:
         kind = "path" if s.metavar == "PATH" else "file"
-    elif float in s.kinds:  # click checks a limit of 0, the job all other limits
+    elif float in s.kinds:  # the job checks its limits
         kind = click.FLOAT
-        for limit in s.limits:
-            if 0 in (getattr(limit, "gt", None), getattr(limit, "ge", None)):
-                kind = click.FloatRange(0, min_open=hasattr(limit, "gt"))
     elif list[str] not in s.kinds:
         kind = next((get_args(k) for k in s.kinds if get_origin(k) is Literal), None)
     if not s.flags[0].startswith("-"):

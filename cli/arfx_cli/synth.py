@@ -1,7 +1,6 @@
 """`arfx synth`: a synthetic clip with exact truth."""
 
 from pathlib import Path
-from typing import Any
 
 from arfx_cli.console import (
     Progress,
@@ -23,6 +22,7 @@ def command(scene: Path, folder: Path, kinds: str | None, overwrite: bool) -> No
     \b
     Example:
       arfx synth sample_scenes/0001-orbit/scene.toml -o out/orbit"""
+    from arfx.core.settings import listed
     from arfx.errors import ConfigError
     from arfx.synth.clip import make_clip
     from arfx.synth.description import load_scene
@@ -30,9 +30,7 @@ def command(scene: Path, folder: Path, kinds: str | None, overwrite: bool) -> No
     path = scene / "scene.toml" if scene.is_dir() else scene
     description = load_scene(path)
     if kinds is not None:
-        chosen: Any = tuple(
-            k.strip() for k in kinds.split(",") if k.strip() and k.strip() != "none"
-        )
+        chosen = tuple(k for k in listed(kinds) if k not in ("", "none"))
         wrong = [k for k in chosen if k not in ("depth", "mask", "flow")]
         if wrong:
             raise ConfigError(
@@ -40,22 +38,11 @@ def command(scene: Path, folder: Path, kinds: str | None, overwrite: bool) -> No
             )
         description = description.model_copy(update={"truth": chosen})
     with Progress() as progress:
-        truth = make_clip(description, folder, path.parent, progress, overwrite)
-    files = sorted(str(p.relative_to(folder)) for p in folder.iterdir())
+        truth = make_clip(description, folder, progress, overwrite)
+    paths = sorted(folder.iterdir())
+    files = [p.name for p in paths]
     say(f"{len(truth.frames)} frames in {folder}: {', '.join(files)}")
-    keys = sorted({key for f in truth.frames for key in f.markers})
-    seen = {
-        key: [f.markers[key] for f in truth.frames if key in f.markers]
-        for key in keys
-    }
-    detail_template(
-        "measure/synth_detail.jinja",
-        sizes={
-            p.name: p.stat().st_size for p in sorted(folder.iterdir()) if p.is_file()
-        },
-        markers=seen,
-        frames=len(truth.frames),
-    )
+    detail_template("measure/synth_detail.jinja", paths=paths, frames=truth.frames)
     if truth.world is not None:
         say(
             f"next: arfx process --config {folder / 'job.toml'} -o {folder / 'out.mp4'}  "

@@ -72,7 +72,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_wheel_holds_every_module_and_the_presets(wheel: Path) -> None:
     held = set(zipfile.ZipFile(wheel).namelist())
-    kinds = (".json", ".toml", ".html", ".jinja", ".vert", ".frag")
+    kinds = (".json", ".toml", ".html", ".jinja", ".vert", ".frag", ".glb")
     data = [
         p
         for folder in (ROOT / "arfx", ROOT / "cli" / "arfx_cli")

@@ -50,11 +50,12 @@ def scene(clip: Clip) -> SceneFile:
         "exposure": {
             "gain": float(np.exp(np.log(clip.gain).mean())),
             "bias": clip.bias,
+            "drift_stops": clip.drift[0],
+            "drift_period_s": clip.drift[1],
         },
         "noise": {"read": 0.001 * clip.noise_grey, "shot": 5e-5 * clip.noise_grey**2},
-        "hidden": {"gloss": clip.gloss, "drift_stops": clip.drift[0]},
+        "hidden": {"gloss": clip.gloss},
     }
-    tree["exposure"]["drift_period_s"] = clip.drift[1]
     if clip.case.gamma[1] > 1.1:
         tree["hidden"]["transfer"] = f"gamma:{2.2 / clip.gamma:.3f}"
     if clip.bright_side is None:

@@ -39,8 +39,6 @@ def test_pictures_to_a_camera_file(arfx: Run, folder: Path, tmp_path: Path) -> N
         "-o",
         str(out),
         "--json",
-        "--report",
-        str(tmp_path / "rep"),
     )
     assert result.code == 0, result.err
     d = result.json
@@ -52,10 +50,7 @@ def test_pictures_to_a_camera_file(arfx: Run, folder: Path, tmp_path: Path) -> N
     ):
         assert abs(value - truth) < 4 * sd[name] + 0.3, name
     assert d["pictures"]["searched"] == d["pictures"]["with_board"] == 9
-    assert sorted(p.name for p in (tmp_path / "rep").iterdir()) == [
-        "coverage.png",
-        "residuals.png",
-    ]
+    assert out.with_name(f"{out.stem}-residuals.png").is_file()
     camera = load_camera(out)
     assert (camera.width, camera.height) == SIZE
     assert camera.fx == pytest.approx(d["camera_matrix"][0][0])
@@ -172,7 +167,7 @@ def test_a_rig_is_calibrated_camera_by_camera(
     assert made == [
         f"{name}{end}"
         for name in ("left.1", "right ü")
-        for end in ("-coverage.png", "-residuals.png", ".yaml")
+        for end in ("-residuals.png", ".yaml")
     ]
     assert arfx(*command).code == 2
     assert arfx(*command[:-1], "rig/out/x{parent}.yaml", "--overwrite").code == 2, (

@@ -41,9 +41,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
             }
         )
         short = whole.model_copy(update={"shot": (shot,), "clip": clip})
-        make_clip(
-            short, folder / name, ROOT / "sample_scenes" / name, truth_pictures=False
-        )
+        make_clip(short, folder / name, truth_pictures=False)
         document = {
             "output": {"path": str(folder / f"{name}.rays.mkv"), "codec": "ffv1"},
             "raster": {"backend": "rays"},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from arfx.config.sections import settings
+from arfx.config.sections import section_models
 from arfx.run.parameters import parameters
 from arfx.stages import STAGES
 from tests.cli.conftest import Run
@@ -30,7 +30,11 @@ def test_every_setting_is_in_the_data_with_its_text(arfx: Run) -> None:
         for kind in formulas.values()
     )
     of_stages = {(name, key) for name, kind in kinds for key in kind.model_fields}
-    assert set(found) == of_stages | {(s.section, s.key) for s in settings()}
+    assert set(found) == of_stages | {
+        (name, key)
+        for name, model in section_models().items()
+        for key in model.model_fields
+    }
     assert [key for key, s in found.items() if not (s["text"] and s["type"])] == []
     assert (
         found["dof", "coc_mm"]["formula"] == "paper"

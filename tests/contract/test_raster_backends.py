@@ -191,7 +191,7 @@ def test_memory_stays_flat_over_many_renders() -> None:
     from arfx.stages.raster.gl import GlFaces
     from arfx.stages.raster.renderer import Renderer
 
-    renderer = Renderer(scene.mesh_at(0.0), scene.camera, GlFaces, 4)
+    renderer = Renderer(scene.mesh, scene.camera, GlFaces, 4)
     assert stage.levels
 
     def resident_mb() -> float:

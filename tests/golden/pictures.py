@@ -40,7 +40,6 @@ def verified(
         make_clip(
             whole.model_copy(update={"clip": clip}),
             work / "synth",
-            scene,
             truth_pictures=False,
         )
     return verify(scene, work, lambda *_: None, notice)

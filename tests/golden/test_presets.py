@@ -40,9 +40,7 @@ def source_clip(folder: Path) -> Path:
     short = whole.model_copy(
         update={"shot": (whole.shot[0].model_copy(update={"frames": 4}),)}
     )
-    make_clip(
-        short, folder, SCENE, lambda *_: None, overwrite=True, truth_pictures=False
-    )
+    make_clip(short, folder, lambda *_: None, overwrite=True, truth_pictures=False)
     return folder
 
 

@@ -48,7 +48,7 @@ class RayScene:
     """triangles : metres from centre_m in world axes;  directions : of the camera's pixels"""
 
     def __init__(self, scene: Scene) -> None:
-        mesh = scene.mesh_at(0.0)
+        mesh = scene.mesh
         self.triangles = Triangles(mesh.corners_m, robust=True)
         self.centre_m, self.directions = mesh.centre_m, LensTable(scene.camera)
 

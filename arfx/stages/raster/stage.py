@@ -78,7 +78,7 @@ class Raster(Stage):
         )
         samples = self.params.samples if level != "reference" else 0
         samples = samples or backend.samples[level]
-        return Renderer(scene.mesh_at(0.0), scene.camera, backend.find_faces, samples)
+        return Renderer(scene.mesh, scene.camera, backend.find_faces, samples)
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, ndarray]:
         rect, box = view.rect, view.facts.raster_box.clip(view.scene.camera.rect)

@@ -41,7 +41,7 @@ class SurfacePoints:
 
 
 def sample_surface(scene: Scene, seed: int) -> SurfacePoints:
-    mesh = scene.mesh_at(0.0)
+    mesh = scene.mesh
     first, second, third = np.moveaxis(mesh.corners_m + mesh.centre_m, 1, 0)
     across = np.cross(second - first, third - first)
     area = np.linalg.norm(across, axis=1)

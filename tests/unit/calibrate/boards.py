@@ -60,9 +60,7 @@ def view(
         ids,
         spec.corners_m,
         pixels,
-        "exact",
         0.4,
-        False,
     )
 
 

@@ -19,7 +19,6 @@ def test_chessboard_corners_are_where_they_are(index: int) -> None:
     pose = poses(8)[index]
     found = find_view(render(CHESS, pose), CHESS, "a")
     assert found is not None
-    assert found.upside_down is False
     assert rms(found.pixels, projected(CHESS, pose)) < 0.06
     # the mean must be better still: a shift of all corners together is what biases the
     # principal point
@@ -62,23 +61,7 @@ def test_a_board_upside_down_keeps_its_numbers() -> None:
     )
     found = find_view(render(CHESS, pose), CHESS, "a")
     assert found is not None
-    assert found.upside_down is True
     assert rms(found.pixels, projected(CHESS, pose)) < 0.06
-    even = BoardSpec.parse("chessboard:8x6:25mm")
-    told = find_view(
-        render(
-            even,
-            (
-                rvec,
-                np.array([0, 0, 0.45])
-                - cv2.Rodrigues(rvec)[0] @ even.corners_m.mean(0),
-            ),
-        ),
-        even,
-        "b",
-    )
-    assert told is not None
-    assert told.upside_down is False
 
 
 def test_charuco_corners_also_where_the_board_leaves_the_picture() -> None:

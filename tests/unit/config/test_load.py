@@ -359,7 +359,7 @@ def test_toml_beyond_what_a_job_holds_is_one_message(
 @pytest.mark.parametrize(
     ("section", "key", "value"),
     [
-        ("model", "scale", 1e300), ("model", "scale", 1e-300), ("model", "rotate", [1e300, 0, 0]), ("model", "fit", "1e300m"),
+        ("model", "scale", 1e300), ("model", "scale", 1e-300), ("model", "rotate", [1e300, 0, 0]), ("model", "fit", "1e300m"), ("model", "fit", "-5cm"), ("model", "fit", "0cm"),
         ("model", "offset", ["1e300m", "0m", "0m"]), ("input", "end", "9" * 400), ("input", "end", "9" * 5000 + ":00"),
         ("input", "start", "1e300"), ("input", "depth_scale", 1e-300), ("pipeline", "seed", 2**64), ("pipeline", "fps", 1e300),
         ("output", "crf", -1e300), ("pipeline", "budget", "9" * 400 + "h"),

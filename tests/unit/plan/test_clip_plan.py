@@ -65,7 +65,7 @@ def test_levels_are_fixed_between_cuts_and_follow_the_budget() -> None:
         assert {(s.stage, s.level) for p in made.plans for s in p.steps} == {
             (n, le) for (_, n), le in made.choice.levels.items()
         }
-        seconds.append(sum(s.seconds for p in made.plans for s in p.steps))
+        seconds.append(sum(s.cost.seconds for p in made.plans for s in p.steps))
         errors.append(made.choice.error)
     assert (
         seconds == sorted(seconds)

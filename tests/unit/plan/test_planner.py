@@ -63,7 +63,7 @@ def plan(stages: list[Any], **kw: Any) -> Any:
 
 
 def seconds(plan: FramePlan) -> float:
-    return sum(s.seconds for s in plan.steps if s.seconds is not None)
+    return sum(s.cost.seconds for s in plan.steps if s.cost is not None)
 
 
 def test_the_composite_covers_what_changes_and_no_more() -> None:

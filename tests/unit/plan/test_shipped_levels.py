@@ -53,7 +53,7 @@ def seconds(stage: str, level: str) -> float:
         at.scene.camera.rect,
         prices=shipped_prices(),
     )
-    return next(s.seconds for s in plan.steps if s.stage == stage)
+    return next(s.cost.seconds for s in plan.steps if s.stage == stage)
 
 
 def test_every_level_has_an_error_and_a_price_and_each_step_up_is_worth_it() -> None:

@@ -68,7 +68,7 @@ class Bad(Stage):
 def test_a_value_that_is_not_finite_stops_with_stage_frame_and_pixel() -> None:
     rect = Rect(5, 6, 25, 26)
     plan = FramePlan(
-        7, rect, rect, (Step("bad", "standard", rect, rect, "", 0.0),), ()
+        7, rect, rect, (Step("bad", "standard", rect, rect, "", None),), ()
     )
     with pytest.raises(
         RenderError, match=r"'bad' made 1 pixels.*frame 7, first at x 9, y 9"

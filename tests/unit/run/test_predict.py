@@ -42,7 +42,7 @@ SIZE = JobSize(
 def plans(
     busy: range, stage: str = "dof", level: str = "draft", seconds: float = 0.1
 ) -> list[FramePlan]:
-    step = Step(stage, level, R, R, "", seconds, (seconds, seconds))
+    step = Step(stage, level, R, R, "", measured(seconds))
     return [FramePlan(i, R, R, (step,) if i in busy else (), ()) for i in range(120)]
 
 
@@ -107,7 +107,7 @@ def test_what_planning_takes_is_in_the_prediction(monkeypatch) -> None:
     monkeypatch.setattr(predict_module, "plan_clip", slow)
     monkeypatch.setattr("time.perf_counter", lambda: clock[0])
     made = choose(
-        JobConfig(), {}, [], None, LevelPolicy(), Errors(), PRICES, SIZE, print
+        JobConfig(), {}, [], None, LevelPolicy(), Errors({}, ""), PRICES, SIZE, print
     )[1]  # type: ignore[arg-type]
     assert made["predicted"]["phases"]["before"]["s"] == pytest.approx(
         SIZE.before_s + 0.5

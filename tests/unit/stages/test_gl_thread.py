@@ -24,7 +24,7 @@ pytestmark = pytest.mark.process
 def opengl_renderer(scene: Scene) -> Renderer:
     from arfx.stages.raster.gl import GlFaces
 
-    return Renderer(scene.mesh_at(0.0), scene.camera, GlFaces, 4)
+    return Renderer(scene.mesh, scene.camera, GlFaces, 4)
 
 
 def test_all_work_is_done_by_one_thread_that_is_not_the_callers() -> None:

@@ -535,7 +535,7 @@ def independent_scenes() -> dict[str, tuple[Scene, Pose, Rect]]:
 def test_the_reference_level_is_what_an_independent_renderer_finds(name: str) -> None:
     scene, pose, rect = independent_scenes()[name]
     out = render(scene, pose, "rays", "reference", rect=rect)
-    other = ReferenceRenderer(scene.mesh_at(0.0), scene.camera, 2048, 0.0015).render(
+    other = ReferenceRenderer(scene.mesh, scene.camera, 2048, 0.0015).render(
         rect, pose
     )
     covered = (out[Layer.COVERAGE] > 0) | (other[Layer.COVERAGE] > 0)

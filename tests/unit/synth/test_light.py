@@ -1,17 +1,11 @@
-"""Light and shadow against closed forms: spheres, a straight edge before a lamp of some
-size, panoramas.
-"""
+"""Light and shadow against closed forms: spheres, a straight edge before a lamp of some size."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from arfx.errors import InputError
-from arfx.synth.textures import environment_lights, environment_picture
 from tests.unit.synth.little_scenes import from_above, little_scene, picture_of
 
 GREY = {"kind": "plain", "colour": [0.5, 0.5, 0.5]}
@@ -208,46 +202,6 @@ def test_penumbra_is_as_wide_as_the_lamp_and_the_height_make_it() -> None:
     assert ((exact > 0.1) & (exact < 0.9) & floor).sum() > 500
     error = (made - exact)[floor]
     assert np.sqrt((error**2).mean()) < 0.03 and abs(error.mean()) < 0.01
-
-
-@pytest.mark.parametrize("name", ["studio", "sunset"])
-def test_lamps_of_a_panorama_light_every_surface_like_it(name: str) -> None:
-    panorama = environment_picture(name)
-    h, w = panorama.shape[:2]
-    lamps = environment_lights(panorama, 256)
-    elevation = np.pi * (0.5 - (np.arange(h) + 0.5) / h)[:, None]
-    azimuth = 2 * np.pi * (0.5 - (np.arange(w) + 0.5) / w)[None, :]
-    towards = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
-                        np.broadcast_to(np.sin(elevation), (h, w))], -1)  # fmt: skip
-    weight = np.cos(elevation) * (np.pi / h) * (2 * np.pi / w) / np.pi
-    rng = np.random.default_rng(0)
-    for normal in rng.normal(size=(40, 3)):
-        normal /= np.linalg.norm(normal)
-        exact = (
-            panorama * (np.clip(towards @ normal, 0, None) * weight)[..., None]
-        ).sum((0, 1))
-        made = (lamps[:, 3:6] * np.clip(lamps[:, :3] @ normal, 0, None)[:, None]).sum(
-            0
-        )
-        assert np.abs(made / exact - 1).max() < 0.03, normal
-
-
-def test_a_panorama_file_is_upright_and_a_broken_one_is_refused(
-    tmp_path: Path,
-) -> None:
-    """One bright spot at azimuth 90 degrees, elevation 30: the strongest lamp lies there."""
-    picture = np.full((64, 128, 3), 0.01, np.float32)
-    picture[21, 31:33] = (
-        500  # row (90 - 30) / 180 * 64, column (180 - 90) / 360 * 128
-    )
-    cv2.imwrite(str(tmp_path / "spot.hdr"), picture)
-    lamps = environment_lights(environment_picture("spot.hdr", tmp_path), 16)
-    brightest = lamps[lamps[:, 3:6].sum(1).argmax()]
-    e = np.radians(30)
-    assert np.degrees(np.arccos(brightest[:3] @ [0, np.cos(e), np.sin(e)])) < 2
-    (tmp_path / "no.hdr").write_text("nothing")
-    with pytest.raises(InputError, match=r"no\.hdr"):
-        environment_picture("no.hdr", tmp_path)
 
 
 def test_lamps_switch_fade_and_swing() -> None:

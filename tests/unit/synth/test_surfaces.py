@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -11,7 +9,6 @@ import pytest
 from arfx.core.colour import SRGB
 from arfx.core.marker import FAMILIES, MarkerSpec
 from arfx.core.marker_codes import marker_cells
-from arfx.errors import InputError
 from arfx.synth.description import Marker, Texture
 from arfx.synth.textures import sheet_albedo, texture_albedo
 from tests.unit.synth.little_scenes import from_above, little_scene, picture_of
@@ -67,22 +64,6 @@ def test_textures_depend_on_their_seed_only_and_have_detail(kind: str) -> None:
     assert a.min() >= 0.01 and a.max() <= 0.95
     grey = (255 * SRGB.encode(a.mean(-1))).astype(np.uint8)
     assert cv2.goodFeaturesToTrack(grey, 200, 0.01, 5) is not None and grey.std() > 4
-
-
-def test_picture_texture_is_decoded_and_its_absence_is_said(tmp_path: Path) -> None:
-    cv2.imwrite(str(tmp_path / "p.png"), np.full((2, 2, 3), (10, 100, 200), np.uint8))
-    got = texture_albedo(
-        Texture(kind="image", file=Path("p.png")), (1, 1), 0, tmp_path
-    )
-    np.testing.assert_allclose(
-        got[0, 0], SRGB.decode(np.array([200, 100, 10]) / 255), rtol=1e-5
-    )
-    with pytest.raises(InputError, match=r"none\.png"):
-        texture_albedo(
-            Texture(kind="image", file=Path("none.png")), (1, 1), 0, tmp_path
-        )
-    with pytest.raises(InputError, match="names no file"):
-        texture_albedo(Texture(kind="image"), (1, 1), 0, tmp_path)
 
 
 def test_edge_of_a_print_is_its_exact_area() -> None:

@@ -30,7 +30,10 @@ ORBIT = {
     "hand_deg": 0.5,
     "hand_m": 0.002,
 }
-TURNED = {"kind": "turn", "axis": [0.2, 0.3, 1], "angle_deg": [0, 40]}
+TURNED = {
+    "kind": "keys",
+    "keys": [{"time_s": 0.0}, {"time_s": 0.2, "rotate_deg": [8, 12, 40]}],
+}
 
 
 def test_depth_and_mask_of_a_plane_and_a_sphere() -> None:
