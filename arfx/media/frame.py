@@ -123,24 +123,10 @@ class Frame:
             coded if coded.flags.c_contiguous else np.empty(coded.shape, np.float32)
         )
         planes = samples.three(planes_of(self.picture, f.layout))
-        samples.read(s, planes, r, samples.scratch_for(s, r), into)
+        samples.read(s, planes, r, into)
         if into is not coded:
             coded[...] = into
         return out
-
-    def linear_at(self, pixels: ndarray) -> ndarray:
-        """(n, 3) float32: `linear` of single upright pixels (n, 2) int, x and y.
-
-        Raises RenderError if one leaves the picture.
-        """
-        if not len(pixels):
-            return np.zeros((0, 3), np.float32)
-        (x0, y0), (x1, y1) = pixels.min(0).tolist(), pixels.max(0).tolist()
-        return np.ascontiguousarray(
-            self.linear(Rect(x0, y0, x1 + 1, y1 + 1))[
-                pixels[:, 1] - y0, pixels[:, 0] - x0
-            ]
-        )
 
     def edited(self, rect: Rect, before: ndarray, after: ndarray) -> Frame:
         """A new frame whose stored samples differ by convert(after) - convert(before)
@@ -166,7 +152,7 @@ class Frame:
             samples.three(planes_of(p, f.layout)) for p in (self.picture, picture)
         )
         light = (packed(f.orientation.coded(x)) for x in (before, after))
-        if not samples.add(s, old, new, r, *light, samples.scratch_for(s, r)):
+        if not samples.add(s, old, new, r, *light):
             bad = np.count_nonzero(~np.isfinite(after).all(-1))
             raise RenderError(
                 f"frame {self.index}: {bad} edited pixels in {[*rect]} are not"

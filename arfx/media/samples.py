@@ -20,7 +20,7 @@ import numpy as np
 from numpy import ndarray
 
 from arfx.core.colour import Transfer, yuv_from_rgb
-from arfx.core.compiled import FAST, line_kernel
+from arfx.core.compiled import FAST, kernel, line_kernel
 from arfx.media.planes import FrameFormat
 
 _F, _I, _U = np.float32, np.int32, np.uint32
@@ -144,12 +144,11 @@ def _coded_line(s, planes, row, left, scratch, out):
         out[i + two] = blue[0] * y + blue[1] * u[k] + blue[2] * v[k]
 
 
-@line_kernel(fastmath=FAST)
-def read(s, planes, rect, scratch, out):
-    """out (h, w, 3) float32 linear RGB of coded `rect` (x0, y0, x1, y1).
-
-    scratch : of `scratch_for`"""
-    lines, places = scratch[0], scratch[1]
+@kernel(fastmath=FAST)
+def read(s, planes, rect, out):
+    """out (h, w, 3) float32 linear RGB of coded `rect` (x0, y0, x1, y1)."""
+    w = out.shape[1]
+    lines, places = np.empty((3, w + MARGIN), _F), np.empty(3 * w, _U)
     last = _I(s.decoding.shape[0] - 1)
     for j in range(out.shape[0]):
         line = out[j].reshape(-1)
@@ -160,16 +159,19 @@ def read(s, planes, rect, scratch, out):
         _looked_up(s.decoding, places, line)
 
 
-@line_kernel(fastmath=FAST)
-def add(s, planes, target, rect, before, after, scratch):
+@kernel(fastmath=FAST)
+def add(s, planes, target, rect, before, after):
     """Adds the difference of two pictures to stored samples.
 
     planes : as they are read;  target : copies of them, which are changed;  rect : coded
     before, after : (h, w, 3) float32 linear light; equal values change nothing
-    scratch : of `scratch_for`
     Only chroma samples of the rectangle, grown to their grid, can change. Returns whether
     `after` is finite; else `target` is worth nothing."""
-    lines, places, values, sums = scratch
+    (x0, y0, x1, y1), (sx, sy), w = rect, s.steps, before.shape[1]
+    lines, places = np.empty((3, w + MARGIN), _F), np.empty(3 * w, _U)
+    values = np.empty((2, 3 * w), _F)
+    origin, top = x0 >> sx, y0 >> sy
+    sums = np.zeros((2, -(-y1 >> sy) - top, -(-x1 >> sx) - origin), _F)
     for j in range(before.shape[0]):
         old, new = before[j].reshape(-1), after[j].reshape(-1)
         first, last = 0, old.shape[0]
@@ -181,17 +183,16 @@ def add(s, planes, target, rect, before, after, scratch):
         if last <= first:
             continue
         old, new = old[3 * first : 3 * last], new[3 * first : 3 * last]
-        row, left = rect[1] + j, rect[0] + first
+        row, left = y0 + j, x0 + first
         coded, wanted = values[0][: old.shape[0]], values[1][: old.shape[0]]
         _coded_line(s, planes, row, left, lines, coded)
         if not _differences(s, old, new, coded, wanted, places):
             return False
-        luma = target[0][row][left : rect[0] + last]
+        luma = target[0][row][left : x0 + last]
         _add_line(s, luma, row, left, coded, rect, lines, sums)
-    left, top = rect[0] >> s.steps[0], rect[1] >> s.steps[1]
     for c in range(2):
         for r in range(sums.shape[1]):
-            _add_steps(target[1 + c][top + r][left:], sums[c, r], s.levels[1 + c])
+            _add_steps(target[1 + c][top + r][origin:], sums[c, r], s.levels[1 + c])
     return True
 
 
@@ -328,14 +329,3 @@ def samples_of(f: FrameFormat) -> Samples:
 def three(planes: list[ndarray]) -> Any:
     """The planes for the loops: grey three times."""
     return tuple((planes * 3)[:3])
-
-
-def scratch_for(s: Samples, rect: tuple[int, ...]) -> tuple[ndarray, ...]:
-    """Memory for the loops over a coded rectangle: lines of planes, places in a table and
-    values of one line; zeros (2, h, w) for the chroma samples of the rectangle, grown to
-    their grid."""
-    (x0, y0, x1, y1), (sx, sy) = rect, s.steps
-    shape = 2, -(-y1 >> sy) - (y0 >> sy), -(-x1 >> sx) - (x0 >> sx)
-    w, kind = x1 - x0, np.float32
-    lines, values = np.empty((3, w + MARGIN), kind), np.empty((2, 3 * w), kind)
-    return lines, np.empty(3 * w, np.uint32), values, np.zeros(shape, kind)
