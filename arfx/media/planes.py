@@ -204,7 +204,8 @@ def orientation_of(matrix: Sequence[int] | None) -> tuple[Orientation, bool]:
 class FrameFormat:
     """What all frames of a clip share.
 
-    width, height : coded px; chroma_location : left | center | topleft.
+    width, height : coded px; chroma_location : left | center, across; down it is in the
+    middle.
     """
 
     layout: PixelLayout
@@ -216,14 +217,6 @@ class FrameFormat:
     transfer: Transfer = SRGB
     chroma_location: str = "left"
     orientation: Orientation = field(default_factory=Orientation)
-
-    @property
-    def cosited(self) -> tuple[bool, bool]:
-        """Whether chroma lies on the left, and on the top, luma sample of its group (else
-        in the middle).
-        """
-        where = self.chroma_location
-        return where in ("left", "topleft"), where == "topleft"
 
     @property
     def stored(self) -> tuple[tuple[int, ...], tuple[int, ...]]:

@@ -44,10 +44,10 @@ class Samples(NamedTuple):
     levels : (3, 5) of each plane's samples: that of 0, size of a step, steps up to 1, lowest
     and highest legal one
     rgb_from_planes, planes_from_rgb : (3, 3), coded
-    middle : (x, y) 0 where chroma lies on the left/top luma sample of its group, 0.5 in its
-    middle
-    taps_x, taps_y : weights of the luma samples from 2^step - 1 before to 2^step - 1 behind a
-    group's first one in its chroma
+    middle : 0 where chroma lies on the left luma sample of its group, 0.5 in its middle; of
+    rows it lies in the middle
+    taps : weights of the luma samples from 2^step - 1 before to 2^step - 1 behind a group's
+    first one in its chroma
     decoding, encoding : (n,) float32 tables;  scale : entries of the first to one;  shift :
     bits of a float that the second leaves out
     """
@@ -57,9 +57,8 @@ class Samples(NamedTuple):
     levels: Rows
     rgb_from_planes: Rows
     planes_from_rgb: Rows
-    middle: tuple[np.float32, np.float32]
-    taps_x: ndarray
-    taps_y: ndarray
+    middle: np.float32
+    taps: ndarray
     decoding: ndarray
     encoding: ndarray
     scale: np.float32
@@ -96,9 +95,7 @@ def _chroma_line(s, plane, level, row, left, samples, out):
     up to the last of w = len(out) - MARGIN. samples : scratch"""
     (width, height), (sx, sy) = s.size, s.steps
     last = (height - 1) >> sy
-    place = min(
-        max((_F(row) + s.middle[1]) / _F(1 << sy) - s.middle[1], _F(0)), _F(last)
-    )
+    place = min(max((_F(row) + _F(0.5)) / _F(1 << sy) - _F(0.5), _F(0)), _F(last))
     r0 = _I(place)
     share = place - _F(r0)
     first = (left >> sx) - 1  # with one sample more at both ends
@@ -112,14 +109,14 @@ def _chroma_line(s, plane, level, row, left, samples, out):
         inner[k] = (top + share * (_F(below[k]) - top) - level[0]) * level[1]
     samples[0], samples[n - 1] = samples[a], samples[b - 1]
     if sx == 1:  # in pairs
-        before, behind = s.middle[0] * _F(0.5), _F(0.5) - s.middle[0] * _F(0.5)
+        before, behind = s.middle * _F(0.5), _F(0.5) - s.middle * _F(0.5)
         for k in range(n - 2):
             x = samples[k + 1]
             out[2 * k] = x + before * (samples[k] - x)
             out[2 * k + 1] = x + behind * (samples[k + 2] - x)
         return
     for k in range(1 << sx):
-        part = (_F(k) + s.middle[0]) / _F(1 << sx) - s.middle[0]
+        part = (_F(k) + s.middle) / _F(1 << sx) - s.middle
         other = samples[2:] if part >= 0 else samples
         for i in range(n - 2):
             x = samples[i + 1]
@@ -254,15 +251,12 @@ def _add_line(s, luma, row, left, coded, rect, scratch, sums):
         line[:start] = line[start] if left == 0 else _F(0)
         line[end : end + (2 << sx)] = line[end - 1] if left + n == width else _F(0)
     first, last = (left >> sx) - origin, ((left + n - 1) >> sx) + 2 - origin
-    for group in range(row >> sy, min((row >> sy) + 2, top + sums.shape[1])):
-        weight = _F(0)
-        for k in range(s.taps_y.shape[0]):
-            place = (group << sy) + k + 1 - (1 << sy)
-            if min(max(place, 0), height - 1) == row:
-                weight += s.taps_y[k]
-        for c in range(2 if weight > 0 else 0):
-            line = sums[c][group - top][first:last]  # ends with the rectangle
-            _add_reduced(scratch[1 + c], sx, s.taps_x, weight, line)
+    rows = (
+        ((row >> sy) + 1 << sy) - row if row == height - 1 else 1
+    )  # that it stands for
+    for c in range(2):
+        line = sums[c][(row >> sy) - top][first:last]  # ends with the rectangle
+        _add_reduced(scratch[1 + c], sx, s.taps, _F(rows) / _F(1 << sy), line)
 
 
 @line_kernel(fastmath=FAST)
@@ -277,13 +271,6 @@ def _add_reduced(line, step, taps, weight, out):
         share = weight * taps[k]
         for i in range(out.shape[0]):
             out[i] += share * line[(i << step) + k]
-
-
-def _taps(step: int, cosited: bool) -> ndarray:
-    n = 1 << step
-    away = np.arange(1 - n, n)
-    share = (n - abs(away)) / n**2 if cosited else (away >= 0) / n
-    return share.astype(np.float32)
 
 
 def _float32(values: Any) -> Any:
@@ -307,18 +294,18 @@ def samples_of(f: FrameFormat) -> Samples:
         layout.kind == "gray"
     ):  # three times the same plane: no difference of "chroma"
         from_rgb, to_rgb = from_rgb * [[1], [0], [0]], np.ones((3, 3)) * [1, 0, 0]
-    steps, cosited = (layout.sub_x, layout.sub_y), f.cosited
-    middle = [0 if left else 0.5 for left in cosited]
+    cosited, n = f.chroma_location == "left", 1 << layout.sub_x
+    away = np.arange(1 - n, n)
+    taps = (n - abs(away)) / n**2 if cosited else (away >= 0) / n
     fine = min(layout.depth + 2, 14)
     return Samples(
         (f.width, f.height),
-        steps,
+        (layout.sub_x, layout.sub_y),
         _float32((luma, chroma, chroma)),
         _float32(to_rgb),
         _float32(from_rgb),
-        _float32(middle),
-        _taps(steps[0], cosited[0]),
-        _taps(steps[1], cosited[1]),
+        np.float32(0 if cosited else 0.5),
+        taps.astype(np.float32),
         decoding_table(f.transfer, fine + 4),
         encoding_table(f.transfer, fine),
         np.float32(2 ** (fine + 4)),
