@@ -29,7 +29,7 @@ from arfx.media.codecs import (
     supported_codecs,
 )
 from arfx.media.photos import WRITTEN
-from arfx.media.planes import PixelLayout
+from arfx.media.planes import PixelLayout, layout_named
 
 MAX_TICKS = (1 << 31) - 1  # of a frame's time in mp4 and mov
 _PATTERN = re.compile(
@@ -278,9 +278,8 @@ def _pixel_format(
     odd = info.coded_width % 2, info.coded_height % 2
     size = f"{info.coded_width}x{info.coded_height}"
     if asked := settings.pixel_format:
-        plain = asked.replace("yuvj", "yuv")
-        held = next((f for f in codec.formats if f.name == plain), None)
-        if held is None:
+        held = layout_named(asked)
+        if held is None or held not in codec.formats:
             raise ConfigError(
                 f"codec {codec.name} cannot write pixel format {asked!r}",
                 "one of " + ", ".join(f.name for f in codec.formats),
@@ -291,8 +290,6 @@ def _pixel_format(
                 "use yuv444p",
             )
         return held
-    if source.alpha:
-        notices.append("the clip's transparency is not written")
     target = nearest_format(source, codec, odd)
     if target is None:
         able = (

@@ -11,7 +11,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cache, cached_property
+from functools import cache
 from typing import Any
 
 import av
@@ -24,8 +24,7 @@ from arfx.core.colour import SRGB, Transfer
 from arfx.core.rect import Rect
 
 _NAME = re.compile(
-    r"(?P<kind>yuv[ja]?|gray|gbra?)(?P<sub>420|422|444|440|411|410)?p?"
-    r"(?P<bits>9|10|12|14|16)?(le)?"
+    r"(yuvj?(?P<sub>420|422|444|440|411|410)p|gbrp|gray)(?P<bits>9|10|12|14|16)?(le)?"
 )
 _SUBSAMPLING = {
     "420": (1, 1),
@@ -40,8 +39,9 @@ _NAME_OF = {v: k for k, v in _SUBSAMPLING.items()}
 
 @dataclass(frozen=True)
 class PixelLayout:
-    """A working format. kind : yuv | gray | rgb;  depth : bits per sample;  sub_x, sub_y :
-    log2 of the chroma step.
+    """A working format. name : FFmpeg's, without its deprecated j: the range is a tag, not a
+    format;  kind : yuv | gray | rgb;  depth : bits per sample;  sub_x, sub_y : log2 of the
+    chroma step.
     """
 
     name: str
@@ -49,7 +49,6 @@ class PixelLayout:
     depth: int
     sub_x: int = 0
     sub_y: int = 0
-    alpha: bool = False
 
     @property
     def dtype(self) -> np.dtype:
@@ -58,11 +57,6 @@ class PixelLayout:
     @property
     def subsampling(self) -> str:
         return _NAME_OF[self.sub_x, self.sub_y]
-
-    @cached_property
-    def plain_name(self) -> str:
-        """The same planes without FFmpeg's deprecated j: the range is a tag, not a format."""
-        return self.name.replace("yuvj", "yuv")
 
     def holds(self, odd: tuple[int, int]) -> bool:
         """Whether its chroma covers a picture of odd width, height."""
@@ -77,11 +71,11 @@ class PixelLayout:
 def layout_named(name: str) -> PixelLayout | None:
     """The layout of a working format; None for every other format."""
     m = _NAME.fullmatch(name)
-    if m is None or name.startswith("yuv") != bool(m["sub"]):
+    if m is None:
         return None
     kind = "yuv" if m["sub"] else "rgb" if name.startswith("gbr") else "gray"
-    sub, alpha = _SUBSAMPLING.get(m["sub"], (0, 0)), m["kind"] in ("yuva", "gbra")
-    return PixelLayout(name, kind, int(m["bits"] or 8), *sub, alpha)
+    plain, depth = name.replace("yuvj", "yuv"), int(m["bits"] or 8)
+    return PixelLayout(plain, kind, depth, *_SUBSAMPLING.get(m["sub"], (0, 0)))
 
 
 @cache
@@ -90,11 +84,8 @@ def working_layout(name: str) -> tuple[PixelLayout, str]:
     they are): that which loses least, as FFmpeg reckons it."""
     if layout := layout_named(name):
         return layout, ""
-    known = {
-        f.name: f for n in video_formats if (f := layout_named(n)) and not f.alpha
-    }
-    plain = [n for n, f in known.items() if n == f.plain_name]
-    best, _ = find_best_pix_fmt_of_list(plain, name)
+    known = {f.name: f for n in video_formats if (f := layout_named(n))}
+    best, _ = find_best_pix_fmt_of_list(list(known), name)
     assert best is not None
     alpha = any(c.is_alpha for c in av.VideoFormat(name, 16, 16).components)
     lost = " (its transparency is left out)" if alpha else ""
@@ -113,8 +104,8 @@ def planes_of(picture: av.VideoFrame, layout: PixelLayout) -> list[ndarray]:
 
 
 def copy_picture(picture: av.VideoFrame, layout: PixelLayout) -> av.VideoFrame:
-    """A writable copy with the same samples and tags, under the format's plain name (no yuvj)."""
-    out = av.VideoFrame(picture.width, picture.height, layout.plain_name)
+    """A writable copy with the same samples and tags."""
+    out = av.VideoFrame(picture.width, picture.height, layout.name)
     for a, b in zip(planes_of(picture, layout), planes_of(out, layout), strict=True):
         n = min(a.shape[1], b.shape[1])
         np.copyto(b[:, :n], a[:, :n])
@@ -134,7 +125,7 @@ def repacked(picture: av.VideoFrame, name: str, **how: Any) -> av.VideoFrame:
     if given == name:
         return picture
     held = layout_named(given)
-    if held is not None and held.plain_name == name.replace("yuvj", "yuv"):
+    if held is not None and held.name == name:
         return copy_picture(picture, held)
     if not how:
         how = {"interpolation": "POINT"}

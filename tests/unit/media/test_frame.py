@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from fractions import Fraction
 
 import av
@@ -275,7 +274,7 @@ def test_display_matrices() -> None:
     ("name", "working"),
     [("nv12", "yuv420p"), ("yuyv422", "yuv422p"), ("p010le", "yuv420p10le"), ("rgb24", "gbrp"), ("bgra", "gbrp"),
      ("pal8", "gbrp"), ("rgb48le", "gbrp16le"),
-     ("nv16", "yuv422p"), ("nv24", "yuv444p"), ("ya8", "gray"), ("uyvy422", "yuv422p")],
+     ("nv16", "yuv422p"), ("nv24", "yuv444p"), ("ya8", "gray"), ("uyvy422", "yuv422p"), ("yuva420p", "yuv420p"), ("gbrap10le", "gbrp10le")],
 )  # fmt: skip
 def test_unusual_formats_get_a_working_one_with_a_notice(
     name: str, working: str
