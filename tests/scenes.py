@@ -49,7 +49,7 @@ def box_model(size: float = 1.0, material: Material | None = None) -> Model:
         np.array(normals, float),
         material or Material(),
     )
-    return Model((part,), up="z")
+    return Model((part,), up="z", source="box")
 
 
 def camera(

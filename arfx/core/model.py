@@ -143,12 +143,13 @@ class Part:
 class Model:
     """All parts of a model.
 
-    up : "x", "y" or "z", which file axis points up
+    up : "x", "y" or "z", which file axis points up;  source : path, for messages
     notices : what was left out or repaired while reading, for the user
     files : all files that it was read from, the model's own first"""
 
     parts: tuple[Part, ...]
     up: str = "y"
+    source: str = ""
     notices: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
 

@@ -245,7 +245,7 @@ def sphere_cluster(longitudes: int, latitudes: int) -> Model:
     rows, columns = np.indices((3, 3)).reshape(2, -1) - 1
     positions = 0.35 * np.stack([rows, columns, 0.3 * abs(rows * columns)], -1)
     parts = tuple(replace(one, vertices=one.vertices * 0.33 + at) for at in positions)
-    return Model(parts, up=whole.up)
+    return Model(parts, up=whole.up, source="benchmark pile")
 
 
 def textured_ball(longitudes: int, latitudes: int) -> Model:
@@ -263,7 +263,7 @@ def textured_ball(longitudes: int, latitudes: int) -> Model:
     textures: dict[str, Any] = {f"{name}_texture": texture for name in names}
     material = replace(one.material, **textures)
     part = replace(one, material=material, tangents=tangents)
-    return Model((part,), up="z")
+    return Model((part,), up="z", source="benchmark ball with textures")
 
 
 SHAPES = {"ball": ball, "pile": sphere_cluster, "textured": textured_ball}

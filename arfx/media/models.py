@@ -78,7 +78,7 @@ def load_model(path: Path | str, up: str | None = None) -> Model:
                 "it has no faces",
                 "a mesh with triangles is needed; points and lines cannot be rendered",
             )
-        model = Model(tuple(parts), up or _UP[file.kind])
+        model = Model(tuple(parts), up or _UP[file.kind], str(path))
         extent, furthest = np.ptp(model.bounds, 0).max(), np.abs(model.bounds).max()
         if not 0 < extent <= MAX_EXTENT or furthest > MAX_EXTENT:
             what = f"it spans {extent:g} units up to coordinate {furthest:g}"

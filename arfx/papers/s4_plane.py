@@ -37,6 +37,6 @@ def step1_mesh(scene: Scene, albedo: float) -> Scene:
         parts.append(Part(corners, faces, np.tile(normal, (4, 1)), matt))
     return replace(
         scene,
-        model=Model(tuple(parts), up="z"),
+        model=Model(tuple(parts), up="z", source="planes"),
         world_from_model=scene.world_from_anchor.matrix,
     )

@@ -58,7 +58,7 @@ def ball(material: Material, subdivisions: int = 3) -> Model:
         np.array(b.vertices),
         material,
     )
-    return Model((part,), up="z")
+    return Model((part,), up="z", source="ball")
 
 
 def box(material: Material) -> Model:

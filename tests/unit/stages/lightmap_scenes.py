@@ -41,7 +41,7 @@ def ball_model(subdivisions: int = 4) -> Model:
         np.array(ball.vertices),
         Material(specular=0.0),
     )
-    return Model((part,), up="z")
+    return Model((part,), up="z", source="ball")
 
 
 def on_plane(

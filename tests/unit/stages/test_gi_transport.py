@@ -46,7 +46,7 @@ def bowl(material: Material, thickness: float = 0.02) -> Model:
         np.array(mesh.vertex_normals),
         material,
     )
-    return Model((part,), up="z")
+    return Model((part,), up="z", source="bowl")
 
 
 @pytest.mark.parametrize(("level", "most"), [("draft", 0.05), ("standard", 0.03)])
@@ -151,7 +151,7 @@ def with_a_rod(material: Material) -> Model:
         )
         for mesh in (cube, rod)
     ]
-    return Model(tuple(parts), up="z")
+    return Model(tuple(parts), up="z", source="rod")
 
 
 def test_points_stand_for_the_area_that_they_have() -> None:
