@@ -238,10 +238,9 @@ def _info(
     container: Any, stream: Any, first: av.VideoFrame, path: Path, transfer: Transfer
 ) -> ClipInfo:
     ctx = stream.codec_context
-    space, trc, primaries = (
-        next((t for t in tags if t not in (0, UNSPECIFIED)), tags[1])
-        for name in ("colorspace", "color_trc", "color_primaries")
-        if (tags := [int(getattr(of, name)) for of in (first, ctx)])
+    # where a picture says none, FFmpeg gives it the stream's
+    space, trc, range_tag = (
+        int(tag) for tag in (first.colorspace, first.color_trc, first.color_range)
     )
     layout, notice = working_layout(first.format.name)
     notices = [notice] if notice else []
@@ -258,7 +257,6 @@ def _info(
             notices.append(
                 f"the stream {says}: {matrix} is used ({first.height} lines)"
             )
-    range_tag = int(first.color_range) or int(ctx.color_range)
     whole = {"yuv": "2", "gray": "02", "rgb": "012"}[layout.kind]
     full = str(range_tag) in whole or first.format.name.startswith("yuvj")
     turn = _display_matrix(first, beside)
@@ -315,7 +313,7 @@ def _info(
         space,
         range_tag,
         trc,
-        primaries,
+        int(first.color_primaries),
         "center" if ctx.name in _MIDDLE_SITED else "left",
         transfer,
         turn,
