@@ -24,15 +24,13 @@ from arfx.core.colour import SRGB, Transfer
 from arfx.core.rect import Rect
 
 _NAME = re.compile(
-    r"(yuvj?(?P<sub>420|422|444|440|411|410)p|gbrp|gray)(?P<bits>9|10|12|14|16)?(le)?"
+    r"(yuvj?(?P<sub>420|422|444|440)p|gbrp|gray)(?P<bits>9|10|12|14|16)?(le)?"
 )
 _SUBSAMPLING = {
     "420": (1, 1),
     "422": (1, 0),
     "444": (0, 0),
     "440": (0, 1),
-    "411": (2, 0),
-    "410": (2, 2),
 }
 _NAME_OF = {v: k for k, v in _SUBSAMPLING.items()}
 

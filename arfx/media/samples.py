@@ -40,14 +40,14 @@ Rows = tuple[tuple[np.float32, ...], ...]
 class Samples(NamedTuple):
     """What stored samples stand for.
 
-    size : columns and rows of the picture;  steps : log2 of the chroma step (x, y)
+    size : columns and rows of the picture;  steps : log2 of the chroma step (x, y), 0 or 1
     levels : (3, 5) of each plane's samples: that of 0, size of a step, steps up to 1, lowest
     and highest legal one
     rgb_from_planes, planes_from_rgb : (3, 3), coded
     middle : 0 where chroma lies on the left luma sample of its group, 0.5 in its middle; of
     rows it lies in the middle
-    taps : weights of the luma samples from 2^step - 1 before to 2^step - 1 behind a group's
-    first one in its chroma
+    taps : weights in chroma of the luma samples before, at and behind the first of a group
+    of two; 1 where there are no groups
     decoding, encoding : (n,) float32 tables;  scale : entries of the first to one;  shift :
     bits of a float that the second leaves out
     """
@@ -108,19 +108,15 @@ def _chroma_line(s, plane, level, row, left, samples, out):
         top = _F(above[k])
         inner[k] = (top + share * (_F(below[k]) - top) - level[0]) * level[1]
     samples[0], samples[n - 1] = samples[a], samples[b - 1]
-    if sx == 1:  # in pairs
-        before, behind = s.middle * _F(0.5), _F(0.5) - s.middle * _F(0.5)
+    if sx == 0:
         for k in range(n - 2):
-            x = samples[k + 1]
-            out[2 * k] = x + before * (samples[k] - x)
-            out[2 * k + 1] = x + behind * (samples[k + 2] - x)
+            out[k] = samples[k + 1]
         return
-    for k in range(1 << sx):
-        part = (_F(k) + s.middle) / _F(1 << sx) - s.middle
-        other = samples[2:] if part >= 0 else samples
-        for i in range(n - 2):
-            x = samples[i + 1]
-            out[(i << sx) + k] = x + abs(part) * (other[i] - x)
+    before, behind = s.middle * _F(0.5), _F(0.5) - s.middle * _F(0.5)
+    for k in range(n - 2):
+        x = samples[k + 1]
+        out[2 * k] = x + before * (samples[k] - x)
+        out[2 * k + 1] = x + behind * (samples[k + 2] - x)
 
 
 @line_kernel(fastmath=False)  # so sums of three products are rounded alike everywhere
@@ -130,7 +126,7 @@ def _coded_line(s, planes, row, left, scratch, out):
     for c in range(2):
         line = scratch[c][: w + MARGIN]
         _chroma_line(s, planes[1 + c], s.levels[1 + c], row, left, scratch[2], line)
-    start = left - ((left >> s.steps[0]) << s.steps[0])
+    start = left & s.steps[0]
     u, v = scratch[0][start:], scratch[1][start:]
     luma = planes[0][row][left : left + w]
     one, two, three = np.uintp(1), np.uintp(2), np.uintp(3)
@@ -233,9 +229,7 @@ def _add_line(s, luma, row, left, coded, rect, scratch, sums):
     Beyond the line they are zero, beyond the picture its edge goes on."""
     (width, height), (sx, sy), (to_y, to_u, to_v) = s.size, s.steps, s.planes_from_rgb
     n, top, origin = luma.shape[0], rect[1] >> sy, rect[0] >> sx
-    start = (
-        (left & ((1 << sx) - 1)) + (1 << sx) - 1
-    )  # place of the first pixel in a line
+    start = (left & sx) + sx  # place of the first pixel in a line
     end = start + n
     y, u, v = scratch[0][:n], scratch[1][start:end], scratch[2][start:end]
     one, two, three = np.uintp(1), np.uintp(2), np.uintp(3)
@@ -249,28 +243,27 @@ def _add_line(s, luma, row, left, coded, rect, scratch, sums):
     for c in range(1, 3):
         line = scratch[c]
         line[:start] = line[start] if left == 0 else _F(0)
-        line[end : end + (2 << sx)] = line[end - 1] if left + n == width else _F(0)
+        line[end : end + 2 + sx] = line[end - 1] if left + n == width else _F(0)
     first, last = (left >> sx) - origin, ((left + n - 1) >> sx) + 2 - origin
-    rows = (
-        ((row >> sy) + 1 << sy) - row if row == height - 1 else 1
-    )  # that it stands for
+    group = row >> sy
+    weight = _F(1) / _F(1 << sy)
+    if row == height - 1:  # it stands for those beyond as well
+        weight *= _F(((group + 1) << sy) - row)
     for c in range(2):
-        line = sums[c][(row >> sy) - top][first:last]  # ends with the rectangle
-        _add_reduced(scratch[1 + c], sx, s.taps, _F(rows) / _F(1 << sy), line)
+        line = sums[c][group - top][first:last]  # ends with the rectangle
+        _add_reduced(scratch[1 + c], s.taps, weight, line)
 
 
 @line_kernel(fastmath=FAST)
-def _add_reduced(line, step, taps, weight, out):
-    """out[i] += weight times the weighted sum of the samples of `line` from i << step on."""
-    if step == 1:
-        a, b, c = weight * taps[0], weight * taps[1], weight * taps[2]
+def _add_reduced(line, taps, weight, out):
+    """out[i] += weight times the sum of the samples of `line` about i's group, or of the i-th."""
+    if taps.shape[0] == 1:
         for i in range(out.shape[0]):
-            out[i] += a * line[2 * i] + b * line[2 * i + 1] + c * line[2 * i + 2]
+            out[i] += weight * line[i]
         return
-    for k in range(taps.shape[0]):
-        share = weight * taps[k]
-        for i in range(out.shape[0]):
-            out[i] += share * line[(i << step) + k]
+    a, b, c = weight * taps[0], weight * taps[1], weight * taps[2]
+    for i in range(out.shape[0]):
+        out[i] += a * line[2 * i] + b * line[2 * i + 1] + c * line[2 * i + 2]
 
 
 def _float32(values: Any) -> Any:
@@ -294,9 +287,9 @@ def samples_of(f: FrameFormat) -> Samples:
         layout.kind == "gray"
     ):  # three times the same plane: no difference of "chroma"
         from_rgb, to_rgb = from_rgb * [[1], [0], [0]], np.ones((3, 3)) * [1, 0, 0]
-    cosited, n = f.chroma_location == "left", 1 << layout.sub_x
-    away = np.arange(1 - n, n)
-    taps = (n - abs(away)) / n**2 if cosited else (away >= 0) / n
+    cosited = f.chroma_location == "left"
+    halved = (0.25, 0.5, 0.25) if cosited else (0, 0.5, 0.5)
+    taps = np.array(halved if layout.sub_x else (1,), np.float32)
     fine = min(layout.depth + 2, 14)
     return Samples(
         (f.width, f.height),
@@ -305,7 +298,7 @@ def samples_of(f: FrameFormat) -> Samples:
         _float32(to_rgb),
         _float32(from_rgb),
         np.float32(0 if cosited else 0.5),
-        taps.astype(np.float32),
+        taps,
         decoding_table(f.transfer, fine + 4),
         encoding_table(f.transfer, fine),
         np.float32(2 ** (fine + 4)),

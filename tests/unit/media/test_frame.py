@@ -28,7 +28,6 @@ FORMATS = [
     "yuvj420p",
     "yuv422p",
     "yuv444p",
-    "yuv411p",
     "yuv420p10le",
     "yuv444p12le",
     "gray",
@@ -274,7 +273,7 @@ def test_display_matrices() -> None:
     ("name", "working"),
     [("nv12", "yuv420p"), ("yuyv422", "yuv422p"), ("p010le", "yuv420p10le"), ("rgb24", "gbrp"), ("bgra", "gbrp"),
      ("pal8", "gbrp"), ("rgb48le", "gbrp16le"),
-     ("nv16", "yuv422p"), ("nv24", "yuv444p"), ("ya8", "gray"), ("uyvy422", "yuv422p"), ("yuva420p", "yuv420p"), ("gbrap10le", "gbrp10le")],
+     ("nv16", "yuv422p"), ("nv24", "yuv444p"), ("ya8", "gray"), ("uyvy422", "yuv422p"), ("yuva420p", "yuv420p"), ("yuv411p", "yuv422p"), ("yuv410p", "yuv420p"), ("gbrap10le", "gbrp10le")],
 )  # fmt: skip
 def test_unusual_formats_get_a_working_one_with_a_notice(
     name: str, working: str
