@@ -140,25 +140,18 @@ class ModelFile:
         the model. Raises InputError."""
         plain = name.strip().strip("\"'")
         usual = unquote(plain).replace("\\", "/")
-        outside = False
         for candidate in (plain, usual, usual.rpartition("/")[2]):
             with contextlib.suppress(OSError, ValueError):  # too long, a NUL in it
                 place = Path(os.path.normpath(self._folder / candidate))
                 if not place.is_relative_to(self._folder):
                     # not even looked for: the system may ask another machine (//host/x)
-                    outside = True
                     continue
                 found = self._alike(place).resolve()
-                if found.exists() and found != self._folder:
-                    if found.is_relative_to(self._folder):
-                        return found
-                    outside = True
+                if self._folder in found.parents and found.exists():
+                    return found
         shown = name if len(name) < 200 else f"{name[:200]}…"
-        if outside:
-            what = f"{shown}, which lies outside its folder {self._folder}"
-            raise InputError(what, "put it into the model's folder")
         what = f"{shown}, which is not in its folder {self._folder}"
-        raise InputError(what, "put it there")
+        raise InputError(what, "put it there: nothing outside is read")
 
     def _alike(self, place: Path) -> Path:
         """The same path; under the names that are on the disk, where they differ in case or
