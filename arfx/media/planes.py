@@ -178,15 +178,12 @@ def orientation_of(matrix: Sequence[int] | None) -> tuple[Orientation, bool]:
     x' = a x + c y, y' = b x + d y with a, b, c, d at 0, 1, 3, 4 (FFmpeg
     libavutil/display.h). A turn that is no multiple of 90 degrees is taken to the nearest
     one."""
-    if matrix is None:
-        return Orientation(), True
-    a, b, c, d = (float(matrix[i]) for i in (0, 1, 3, 4))
+    a, b, _, c, d = (matrix or (1, 0, 0, 0, 1))[:5]
     straight, turned = abs(a) + abs(d), abs(b) + abs(c)
-    if straight == 0 and turned == 0:
-        return Orientation(), False
-    if straight >= turned:
-        return Orientation(False, a < 0, d < 0), turned < 1e-3 * straight
-    return Orientation(True, c < 0, b < 0), straight < 1e-3 * turned
+    transpose = turned > straight
+    across, down = (c, b) if transpose else (a, d)
+    exact = min(straight, turned) < 1e-3 * max(straight, turned)
+    return Orientation(transpose, across < 0, down < 0), exact
 
 
 @dataclass(frozen=True)
