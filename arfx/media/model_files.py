@@ -72,15 +72,11 @@ class ModelFile:
             image = None
             with contextlib.suppress(InputError):
                 image = self._opened(content() if content else self.read(name))
-            self._pictures[name] = self.texels(image)
+            self._pictures[name] = None if image is None else self._decoded(image)
         return self._pictures[name]
 
-    def texels(self, image: Any) -> ndarray | None:
-        """(h, w, 4) uint8 of a picture of Pillow, which is closed; None for None.
-
-        Raises InputError: too large, damaged."""
-        if image is None:
-            return None
+    def _decoded(self, image: Any) -> ndarray:
+        """(h, w, 4) uint8 of a picture of Pillow, which is closed."""
         width, height = image.size
         if max(width, height) > MAX_TEXTURE_PX:
             hint = f"at most {MAX_TEXTURE_PX} px a side: scale it down"
@@ -110,15 +106,6 @@ class ModelFile:
             why = "a picture's header is damaged"
         self.notices.append(f"textures left out: {why}")
         return None
-
-    def get(self, name: str) -> bytes:
-        """A picture, for trimesh, which itself would open any kind. Raises InputError."""
-        data = self.read(name)
-        if self._opened(data) is None:
-            raise InputError(f"it refers to {name}, which is no picture")
-        return data
-
-    __getitem__ = get
 
     def read(self, name: str) -> bytes:
         """The file that the model calls `name`.

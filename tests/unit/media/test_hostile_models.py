@@ -360,7 +360,7 @@ def test_content_tells_the_format(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["a.zip", "a.tar.gz", "a.json", "a.3mf", "a.xyz", "a"]
+    "name", ["a.dae", "a.zip", "a.tar.gz", "a.json", "a.3mf", "a.xyz", "a"]
 )
 def test_archives_and_formats_without_faces_are_refused(
     tmp_path: Path, name: str
