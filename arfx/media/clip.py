@@ -26,7 +26,6 @@ from arfx.media import hdr
 from arfx.media.codecs import TABLES, check_size, open_video
 from arfx.media.photos import is_photo
 from arfx.media.planes import (
-    FrameFormat,
     Orientation,
     PixelLayout,
     orientation_of,
@@ -70,6 +69,7 @@ class ClipInfo(Document):
     full_range, matrix : as used; where the stream names none, bt709 from 720 lines up, else
     bt601
     *_tag : the stream's own values (ITU-T H.273), written back;  pixel_format : as decoded;
+    chroma_location : left | center, across; down it is in the middle
     start_pts : of the first frame
     frame_count_stated : what the file says, often nothing;  duration_of_video : duration_s
     is this stream's, not the file's;
@@ -146,19 +146,6 @@ class ClipInfo(Document):
     @property
     def audio(self) -> tuple[StreamInfo, ...]:
         return tuple(s for s in self.streams if s.kind == "audio")
-
-    def frame_format(self) -> FrameFormat:
-        return FrameFormat(
-            self.layout,
-            self.coded_width,
-            self.coded_height,
-            self.time_base,
-            self.matrix,
-            self.full_range,
-            self.transfer,
-            self.chroma_location,
-            self.orientation,
-        )
 
 
 def ffmpeg_command(path: Path, filters: str, ending: str) -> str:

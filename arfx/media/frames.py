@@ -84,7 +84,6 @@ class ClipReader:
         seeks: bool = True,
     ) -> None:
         self.info = info
-        self._format = info.frame_format()
         self._threads = 1 if careful else threads
         self._seeks, self._strict = seeks and not careful, strict
         # AVI counts frames in that order, and has no other times
@@ -121,13 +120,13 @@ class ClipReader:
         """Frames from first_pts on; `index` counts them.
         Seeks to the key frame at or before first_pts; where seeking is not exact, decodes
         from the start."""
-        layout, index = self._format.layout, itertools.count()
+        layout, index = self.info.layout, itertools.count()
         for picture, pts in self._pictures(first_pts):
             if first_pts is None or pts >= first_pts:
                 as_it_is = layout_named(picture.format.name) == layout
                 held = picture if as_it_is else repacked(picture, layout.name)
                 key = bool(picture.key_frame)
-                yield Frame(held, self._format, next(index), pts, key)
+                yield Frame(held, self.info, next(index), pts, key)
 
     def times(self) -> FrameTimes | None:
         """None where packets do not tell: a time is missing, there twice, or they go back."""

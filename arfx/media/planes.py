@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from fractions import Fraction
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -20,7 +19,6 @@ from av.codec.codec import find_best_pix_fmt_of_list
 from av.video.format import names as video_formats  # type: ignore[attr-defined]
 from numpy import ndarray
 
-from arfx.core.colour import SRGB, Transfer
 from arfx.core.rect import Rect
 
 _NAME = re.compile(
@@ -63,6 +61,17 @@ class PixelLayout:
     @property
     def peak(self) -> int:
         return (1 << self.depth) - 1
+
+    def stored(self, full_range: bool) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Of luma, grey or RGB samples, and of chroma: the value of 0, steps up to 1 (of chroma
+        from -0.5 to 0.5), lowest and highest legal value.
+
+        Source: ITU-R BT.601/709/2020."""
+        up, peak = 1 << (self.depth - 8), self.peak
+        if full_range:
+            return (0, peak, 0, peak), (128 * up, peak, 0, peak)
+        luma, chroma = (16, 219, 16, 235), (128, 224, 16, 240)
+        return tuple(up * v for v in luma), tuple(up * v for v in chroma)
 
 
 @cache
@@ -184,34 +193,3 @@ def orientation_of(matrix: Sequence[int] | None) -> tuple[Orientation, bool]:
     across, down = (c, b) if transpose else (a, d)
     exact = min(straight, turned) < 1e-3 * max(straight, turned)
     return Orientation(transpose, across < 0, down < 0), exact
-
-
-@dataclass(frozen=True)
-class FrameFormat:
-    """What all frames of a clip share.
-
-    width, height : coded px; chroma_location : left | center, across; down it is in the
-    middle.
-    """
-
-    layout: PixelLayout
-    width: int
-    height: int
-    time_base: Fraction
-    matrix: str = "bt709"
-    full_range: bool = False
-    transfer: Transfer = SRGB
-    chroma_location: str = "left"
-    orientation: Orientation = field(default_factory=Orientation)
-
-    @property
-    def stored(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Of luma, grey or RGB samples, and of chroma: the value of 0, steps up to 1 (of chroma
-        from -0.5 to 0.5), lowest and highest legal value.
-
-        Source: ITU-R BT.601/709/2020."""
-        up, peak = 1 << (self.layout.depth - 8), self.layout.peak
-        if self.full_range:
-            return (0, peak, 0, peak), (128 * up, peak, 0, peak)
-        luma, chroma = (16, 219, 16, 235), (128, 224, 16, 240)
-        return tuple(up * v for v in luma), tuple(up * v for v in chroma)

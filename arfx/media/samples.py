@@ -14,14 +14,16 @@ changed keeps its bits and what is lies within a step."""
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy import ndarray
 
 from arfx.core.colour import Transfer, yuv_from_rgb
 from arfx.core.compiled import FAST, kernel, line_kernel
-from arfx.media.planes import FrameFormat
+
+if TYPE_CHECKING:
+    from arfx.media.clip import ClipInfo
 
 _F, _I, _U = np.float32, np.int32, np.uint32
 MARGIN = 16  # values by which lines of chroma are longer than the picture's part
@@ -274,11 +276,13 @@ def _float32(values: Any) -> Any:
 
 
 @lru_cache(maxsize=8)
-def samples_of(f: FrameFormat) -> Samples:
-    """What the samples of a format stand for."""
-    layout = f.layout
-    luma, chroma = ((zero, 1 / n, n, *legal) for zero, n, *legal in f.stored)
-    from_rgb = yuv_from_rgb(f.matrix)
+def samples_of(clip: ClipInfo) -> Samples:
+    """What the samples of a clip stand for."""
+    layout = clip.layout
+    luma, chroma = (
+        (zero, 1 / n, n, *legal) for zero, n, *legal in layout.stored(clip.full_range)
+    )
+    from_rgb = yuv_from_rgb(clip.matrix)
     to_rgb = np.linalg.inv(from_rgb)
     if layout.kind == "rgb":  # as green, blue, red
         from_rgb, chroma = np.eye(3)[[1, 2, 0]], luma
@@ -287,20 +291,20 @@ def samples_of(f: FrameFormat) -> Samples:
         layout.kind == "gray"
     ):  # three times the same plane: no difference of "chroma"
         from_rgb, to_rgb = from_rgb * [[1], [0], [0]], np.ones((3, 3)) * [1, 0, 0]
-    cosited = f.chroma_location == "left"
+    cosited = clip.chroma_location == "left"
     halved = (0.25, 0.5, 0.25) if cosited else (0, 0.5, 0.5)
     taps = np.array(halved if layout.sub_x else (1,), np.float32)
     fine = min(layout.depth + 2, 14)
     return Samples(
-        (f.width, f.height),
+        (clip.coded_width, clip.coded_height),
         (layout.sub_x, layout.sub_y),
         _float32((luma, chroma, chroma)),
         _float32(to_rgb),
         _float32(from_rgb),
         np.float32(0 if cosited else 0.5),
         taps,
-        decoding_table(f.transfer, fine + 4),
-        encoding_table(f.transfer, fine),
+        decoding_table(clip.transfer, fine + 4),
+        encoding_table(clip.transfer, fine),
         np.float32(2 ** (fine + 4)),
         np.int32(23 - fine),
     )

@@ -153,8 +153,8 @@ def test_written_and_joined(name: str, tmp_path: Path) -> None:
     out = probe(plan.path)
     with ClipReader(out) as r:
         got = list(r.frames())
-    assert [f.pts * f.format.time_base for f in got] == [
-        f.pts * f.format.time_base for f in frames
+    assert [f.pts * f.clip.time_base for f in got] == [
+        f.pts * f.clip.time_base for f in frames
     ]
     assert (out.rotation_deg, out.bit_depth, out.full_range, out.matrix) == (
         info.rotation_deg,
