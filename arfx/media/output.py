@@ -29,7 +29,7 @@ from arfx.media.codecs import (
     supported_codecs,
 )
 from arfx.media.photos import WRITTEN
-from arfx.media.planes import PixelLayout, layout_named
+from arfx.media.planes import PixelLayout
 
 MAX_TICKS = (1 << 31) - 1  # of a frame's time in mp4 and mov
 _PATTERN = re.compile(
@@ -278,8 +278,9 @@ def _pixel_format(
     odd = info.coded_width % 2, info.coded_height % 2
     size = f"{info.coded_width}x{info.coded_height}"
     if asked := settings.pixel_format:
-        held = layout_named(asked)
-        if held is None or held not in codec.formats:
+        plain = asked.replace("yuvj", "yuv")
+        held = next((f for f in codec.formats if f.name == plain), None)
+        if held is None:
             raise ConfigError(
                 f"codec {codec.name} cannot write pixel format {asked!r}",
                 "one of " + ", ".join(f.name for f in codec.formats),

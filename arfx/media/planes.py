@@ -1,8 +1,8 @@
 """Stored pixels: which formats are worked on directly, views of a picture's planes, and how
 they lie when shown upright.
 
-A working format is planar: YUV with any subsampling, grey, or RGB as gbrp, with 8 to 16
-bits. Everything else (nv12, yuyv, packed RGB, palettes) is repacked into one once per
+A working format is planar: YUV with chroma of every or of every second sample, grey, or RGB
+as gbrp, with 8 to 16 bits. Everything else (nv12, yuyv, 4:1:1, packed RGB, palettes) is repacked into one once per
 picture, without loss where such a format exists."""
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from numpy import ndarray
 from arfx.core.rect import Rect
 
 _NAME = re.compile(
-    r"(yuvj?(?P<sub>420|422|444|440)p|gbrp|gray)(?P<bits>9|10|12|14|16)?(le)?"
+    r"(yuv[ja]?(?P<sub>420|422|444|440)p|gbra?p|gray)(?P<bits>9|10|12|14|16)?(le)?"
 )
 _SUBSAMPLING = {
     "420": (1, 1),
@@ -35,9 +35,9 @@ _NAME_OF = {v: k for k, v in _SUBSAMPLING.items()}
 
 @dataclass(frozen=True)
 class PixelLayout:
-    """A working format. name : FFmpeg's, without its deprecated j: the range is a tag, not a
-    format;  kind : yuv | gray | rgb;  depth : bits per sample;  sub_x, sub_y : log2 of the
-    chroma step.
+    """A working format. name : FFmpeg's of the planes that are worked on: without
+    transparency, and without its deprecated j, as the range is a tag, not a format;  kind :
+    yuv | gray | rgb;  depth : bits per sample;  sub_x, sub_y : log2 of the chroma step, 0 or 1.
     """
 
     name: str
@@ -81,20 +81,21 @@ def layout_named(name: str) -> PixelLayout | None:
     if m is None:
         return None
     kind = "yuv" if m["sub"] else "rgb" if name.startswith("gbr") else "gray"
-    plain, depth = name.replace("yuvj", "yuv"), int(m["bits"] or 8)
-    return PixelLayout(plain, kind, depth, *_SUBSAMPLING.get(m["sub"], (0, 0)))
+    plain = re.sub("(yuv|gbr)[ja]", r"\1", name)
+    sub = _SUBSAMPLING.get(m["sub"], (0, 0))
+    return PixelLayout(plain, kind, int(m["bits"] or 8), *sub)
 
 
 @cache
 def working_layout(name: str) -> tuple[PixelLayout, str]:
     """The working format for a decoded format, and a notice ("" when the planes are used as
     they are): that which loses least, as FFmpeg reckons it."""
+    alpha = any(c.is_alpha for c in av.VideoFormat(name, 16, 16).components)
     if layout := layout_named(name):
-        return layout, ""
+        return layout, "the clip's transparency is not written" if alpha else ""
     known = {f.name: f for n in video_formats if (f := layout_named(n))}
     best, _ = find_best_pix_fmt_of_list(list(known), name)
     assert best is not None
-    alpha = any(c.is_alpha for c in av.VideoFormat(name, 16, 16).components)
     lost = " (its transparency is left out)" if alpha else ""
     return known[best.name], f"pixel format {name} is repacked to {best.name}{lost}"
 
@@ -111,9 +112,9 @@ def planes_of(picture: av.VideoFrame, layout: PixelLayout) -> list[ndarray]:
 
 
 def copy_picture(picture: av.VideoFrame, layout: PixelLayout) -> av.VideoFrame:
-    """A writable copy with the same samples and tags."""
+    """A writable copy with the same samples and tags, without transparency."""
     out = av.VideoFrame(picture.width, picture.height, layout.name)
-    for a, b in zip(planes_of(picture, layout), planes_of(out, layout), strict=True):
+    for a, b in zip(planes_of(picture, layout), planes_of(out, layout), strict=False):
         n = min(a.shape[1], b.shape[1])
         np.copyto(b[:, :n], a[:, :n])
     out.pts = picture.pts

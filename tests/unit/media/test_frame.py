@@ -21,6 +21,7 @@ from arfx.media.planes import (
     layout_named,
     orientation_of,
     planes_of,
+    repacked,
     working_layout,
 )
 
@@ -284,7 +285,7 @@ def test_display_matrices() -> None:
     ("name", "working"),
     [("nv12", "yuv420p"), ("yuyv422", "yuv422p"), ("p010le", "yuv420p10le"), ("rgb24", "gbrp"), ("bgra", "gbrp"),
      ("pal8", "gbrp"), ("rgb48le", "gbrp16le"),
-     ("nv16", "yuv422p"), ("nv24", "yuv444p"), ("ya8", "gray"), ("uyvy422", "yuv422p"), ("yuva420p", "yuv420p"), ("yuv411p", "yuv422p"), ("yuv410p", "yuv420p"), ("gbrap10le", "gbrp10le")],
+     ("nv16", "yuv422p"), ("nv24", "yuv444p"), ("ya8", "gray"), ("uyvy422", "yuv422p"), ("yuv411p", "yuv422p"), ("yuv410p", "yuv420p"), ("rgba64le", "gbrp16le")],
 )  # fmt: skip
 def test_unusual_formats_get_a_working_one_with_a_notice(
     name: str, working: str
@@ -292,3 +293,17 @@ def test_unusual_formats_get_a_working_one_with_a_notice(
     layout, notice = working_layout(name)
     assert layout.name == working and name in notice
     assert working_layout(working) == (layout, "")
+
+
+@pytest.mark.parametrize("name", ["yuva420p", "yuva444p10le", "gbrap10le"])
+def test_colours_beside_transparency_keep_their_bits(name: str) -> None:
+    layout, notice = working_layout(name)
+    assert layout.name == name.replace("a", "", 1) and "transparency" in notice
+    f = frame(name, smooth=True)
+    copied = repacked(f.picture, layout.name)
+    assert copied.format.name == layout.name
+    for old, new in zip(samples(f)[:3], planes_of(copied, layout), strict=True):
+        assert np.array_equal(old[:, :16], new[:, :16])
+    assert np.array_equal(
+        f.linear(f.rect), Frame(copied, f.clip, 5, 7).linear(f.rect)
+    )
