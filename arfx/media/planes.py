@@ -1,9 +1,9 @@
 """Stored pixels: which formats are worked on directly, views of a picture's planes, and how
 they lie when shown upright.
 
-A working format is planar: YUV with chroma of every or of every second sample, grey, or RGB
-as gbrp, with 8 to 16 bits. Everything else (nv12, yuyv, 4:1:1, packed RGB, palettes) is repacked into one once per
-picture, without loss where such a format exists."""
+A working format is planar: YUV with chroma of every or of every second sample, grey, or
+RGB as gbrp, with 8 to 16 bits. Everything else (nv12, yuyv, 4:1:1, packed RGB, palettes) is
+repacked into one once per picture, without loss where such a format exists."""
 
 from __future__ import annotations
 
