@@ -112,7 +112,7 @@ class ClipReader:
             stream.codec_context.thread_count = self._threads
         if self._strict:
             stream.codec_context.options = {"err_detect": "explode"}
-        self._stopped = ""
+        self._stopped, self._packets = "", 0
         self._end = self._first = self.info.start_pts
         return stream
 
@@ -146,7 +146,7 @@ class ClipReader:
         if len(set(pts)) < len(pts):
             return None
         irregular = self.damaged or bool(self._stopped)
-        return FrameTimes(sorted(pts), sorted(keys), self._verdict(), irregular)
+        return FrameTimes(sorted(pts), sorted(keys), self._verdict(True), irregular)
 
     def shifts(self) -> list[int]:
         """What frames' times are given beside those of the file, after each place where
@@ -177,7 +177,7 @@ class ClipReader:
                 yield from found
                 return
         yield from self._timed(self._decode(self._open()))
-        self.truncated = self._verdict()
+        self.truncated = self._verdict(True)
 
     def _from_key_frame(self, first_pts: int) -> Timed:
         """Frames from first_pts on, or nothing at all when the key frame before it cannot
@@ -208,7 +208,7 @@ class ClipReader:
             begun = True
             if last >= first_pts:
                 yield picture, last
-        self.truncated = self._verdict()
+        self.truncated = self._verdict(False)
 
     def _decode(self, stream: Any) -> Iterator[av.VideoFrame]:
         """Pictures until the end; concealed ones, and those of another size, only if a good
@@ -265,6 +265,7 @@ class ClipReader:
             self.damaged |= bool(stopped) or len(held) > 1
             stopped = ""
             for good in held:
+                self._packets += 1
                 if good.pos in numbers:
                     late = numbers[good.pos] - good.dts
                 if late:  # those before that are lost were not counted
@@ -304,12 +305,16 @@ class ClipReader:
             last = pts
             yield picture, pts
 
-    def _verdict(self) -> str | None:
+    def _verdict(self, whole: bool) -> str | None:
         info, reason = self.info, self._stopped
         length_s = float((self._end - info.start_pts) * info.time_base)
         stated_s = (info.duration_s or 0) if info.duration_of_video else 0
+        counted = whole and any(n in info.container for n in ("mp4", "mov"))
+        stated = (info.frame_count_stated or 0) if counted else 0
         if not reason and length_s < stated_s - _SHORT_S:
             reason = f"the file ends after {length_s:.2f} s of {stated_s:.2f} s"
+        if not reason and 0 < self._packets < stated:
+            reason = f"{self._packets} of {stated} frames are in the file"
         done = f"{info.path}: {reason}; processed to the last good frame"
         return done if reason else None
 
