@@ -5,8 +5,6 @@ A working format is planar: YUV with chroma of every or of every second sample, 
 RGB as gbrp, with 8 to 16 bits. Everything else (nv12, yuyv, 4:1:1, packed RGB, palettes) is
 repacked into one once per picture, without loss where such a format exists."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
