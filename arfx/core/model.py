@@ -19,7 +19,6 @@ TEXTURE_SLOTS = {
     "occlusion_texture": False,
     "clearcoat_texture": False,
     "clearcoat_roughness_texture": False,
-    "clearcoat_normal_texture": False,
     "sheen_colour_texture": True,
     "sheen_roughness_texture": False,
 }
@@ -57,7 +56,7 @@ class Material:
     normal_texture : t in 0..1 is the normal (2 t - 1) * (normal_scale, normal_scale, 1) in the
         frame of tangent, bitangent, normal
     occlusion_texture : t in 0..1 leaves 1 + occlusion_strength * (t - 1) of the indirect light
-    clearcoat, clearcoat_roughness : 0..1;  clearcoat_normal_texture, _scale : as normal_texture
+    clearcoat, clearcoat_roughness : 0..1
     sheen_colour : (3,) linear;  sheen_roughness : 0..1
     alpha_mode : OPAQUE, MASK (cut at alpha_cutoff) or BLEND"""
 
@@ -81,8 +80,6 @@ class Material:
     clearcoat_texture: Texture | None = None
     clearcoat_roughness: float = 0.0
     clearcoat_roughness_texture: Texture | None = None
-    clearcoat_normal_texture: Texture | None = None
-    clearcoat_normal_scale: float = 1.0
     sheen_colour: tuple[float, float, float] = (0.0, 0.0, 0.0)
     sheen_colour_texture: Texture | None = None
     sheen_roughness: float = 0.0

@@ -11,7 +11,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import chain, islice
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -97,16 +97,16 @@ def inspect(
         whole, last = len(pts) <= READ_WHOLE, max(len(pts) - 1, 0)
         count = max(min(samples, len(pts)), 1)
         at = sorted({round(i) for i in np.linspace(0, last, count)})
-        sampled = (islice(reader.frames(pts[i], pts[i], i), 1) for i in at)
-        for frame in reader.frames() if whole else chain.from_iterable(sampled):
+        sampled = ((i, f) for i in at for f in islice(reader.frames(pts[i]), 1))
+        for number, frame in enumerate(reader.frames()) if whole else sampled:
             luma = frame.luma()
             if whole:
                 thumbnails.append(thumbnail(luma))
-            if frame.index in at:
+            if number in at:
                 level = divide(float(luma.mean()) - lowest, highest - lowest)
                 ends = (luma >= highest).mean(), (luma <= lowest).mean()
-                light[frame.index] = (float(level), *map(float, ends))
-                _record(found, detector.search(luma), frame.index, luma, camera)
+                light[number] = (float(level), *map(float, ends))
+                _record(found, detector.search(luma), number, luma, camera)
         truncated = reader.truncated
     markers, left_out = confirmed(found)
     looked = len(light)

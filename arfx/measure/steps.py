@@ -172,7 +172,9 @@ def open_frames(job: Job, wanted: Collection[int]) -> dict[int, FrameRenderer]:
     facts = {f.index: f for f in job.facts}
     pts = {job.analysed.pts[i]: i for i in wanted}
     with ClipReader(job.inputs.info, careful=job.analysed.careful) as reader:
-        for frame in reader.frames(min(pts), max(pts)):
+        for frame in reader.frames(min(pts)):
+            if frame.pts > max(pts):
+                break
             if frame.pts not in pts:
                 continue
             i = pts[frame.pts]

@@ -24,7 +24,6 @@ from arfx.media import hdr
 from arfx.media.codecs import TABLES, check_size, open_video
 from arfx.media.photos import is_photo
 from arfx.media.planes import (
-    FrameFormat,
     Orientation,
     PixelLayout,
     orientation_of,
@@ -68,6 +67,7 @@ class ClipInfo(Document):
     full_range, matrix : as used; where the stream names none, bt709 from 720 lines up, else
     bt601
     *_tag : the stream's own values (ITU-T H.273), written back;  pixel_format : as decoded;
+    chroma_location : left | center, across; down it is in the middle
     start_pts : of the first frame
     frame_count_stated : what the file says, often nothing;  duration_of_video : duration_s
     is this stream's, not the file's;
@@ -144,19 +144,6 @@ class ClipInfo(Document):
     @property
     def audio(self) -> tuple[StreamInfo, ...]:
         return tuple(s for s in self.streams if s.kind == "audio")
-
-    def frame_format(self) -> FrameFormat:
-        return FrameFormat(
-            self.layout,
-            self.coded_width,
-            self.coded_height,
-            self.time_base,
-            self.matrix,
-            self.full_range,
-            self.transfer,
-            self.chroma_location,
-            self.orientation,
-        )
 
 
 def ffmpeg_command(path: Path, filters: str, ending: str) -> str:
@@ -236,10 +223,9 @@ def _info(
     container: Any, stream: Any, first: av.VideoFrame, path: Path, transfer: Transfer
 ) -> ClipInfo:
     ctx = stream.codec_context
-    space, trc, primaries = (
-        next((t for t in tags if t not in (0, UNSPECIFIED)), tags[1])
-        for name in ("colorspace", "color_trc", "color_primaries")
-        if (tags := [int(getattr(of, name)) for of in (first, ctx)])
+    # where a picture says none, FFmpeg gives it the stream's
+    space, trc, range_tag = (
+        int(tag) for tag in (first.colorspace, first.color_trc, first.color_range)
     )
     layout, notice = working_layout(first.format.name)
     notices = [notice] if notice else []
@@ -256,7 +242,6 @@ def _info(
             notices.append(
                 f"the stream {says}: {matrix} is used ({first.height} lines)"
             )
-    range_tag = int(first.color_range) or int(ctx.color_range)
     whole = {"yuv": "2", "gray": "02", "rgb": "012"}[layout.kind]
     full = str(range_tag) in whole or first.format.name.startswith("yuvj")
     turn = _display_matrix(first, beside)
@@ -313,7 +298,7 @@ def _info(
         space,
         range_tag,
         trc,
-        primaries,
+        int(first.color_primaries),
         "center" if ctx.name in _MIDDLE_SITED else "left",
         transfer,
         turn,

@@ -74,8 +74,7 @@ class Codec:
             names = [f.name for f in av.Codec(self.encoder, "w").video_formats or []]
         if self.encoder == "ffv1":
             names.append("gbrp")  # its 8-bit RGB is bgr0: the same, interleaved
-        known = [f for n in names if (f := layout_named(n)) and not f.alpha]
-        return tuple(f for f in known if f.name == f.plain_name)
+        return tuple(dict.fromkeys(f for n in names if (f := layout_named(n))))
 
 
 TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
@@ -108,7 +107,7 @@ def nearest_format(
     none holds the picture's size.
     odd : 1 where the coded width, height are odd"""
     able = {f.name: f for f in codec.formats if codec.lossless or f.holds(odd)}
-    best, _ = find_best_pix_fmt_of_list(list(able), layout.plain_name)
+    best, _ = find_best_pix_fmt_of_list(list(able), layout.name)
     return None if best is None else able[best.name]
 
 

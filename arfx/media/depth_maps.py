@@ -71,9 +71,7 @@ def _open_video(path: Path) -> tuple[Read, tuple[float, ...]]:
         if frame is None or frame.pts != pts[number]:
             what = f"map {number} cannot be decoded where it was listed"
             raise InputError(f"depth {path}: {what}", "the file is damaged")
-        stored = planes_of(frame.picture, frame.format.layout)[0][
-            :, : info.coded_width
-        ]
+        stored = planes_of(frame.picture, frame.clip.layout)[0][:, : info.coded_width]
         kept.last = number, stored, frames
         return stored
 

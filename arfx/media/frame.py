@@ -17,7 +17,8 @@ from numpy import ndarray
 from arfx.core.layers import packed
 from arfx.core.rect import Rect
 from arfx.errors import RenderError
-from arfx.media.planes import FrameFormat, copy_picture, planes_of
+from arfx.media.clip import ClipInfo
+from arfx.media.planes import copy_picture, planes_of
 
 SWS_MATRIX = {
     "bt709": "ITU709",
@@ -36,7 +37,7 @@ class Frame:
     """
 
     picture: av.VideoFrame
-    format: FrameFormat
+    clip: ClipInfo
     index: int
     pts: int
     key: bool = False
@@ -44,27 +45,22 @@ class Frame:
     @property
     def time_s(self) -> float:
         """Presentation time, seconds."""
-        return float(self.pts * self.format.time_base)
+        return float(self.pts * self.clip.time_base)
 
     @property
     def rect(self) -> Rect:
         """The whole upright picture."""
-        f = self.format
-        return (
-            Rect.of(f.height, f.width)
-            if f.orientation.transpose
-            else Rect.of(f.width, f.height)
-        )
+        return Rect.of(self.clip.width, self.clip.height)
 
     def luma(self) -> ndarray:
         """(h, w) uint8, upright, read-only; limited range stays as stored; a view for 8-bit
         YUV and grey.
         """
-        f = self.format
+        f = self.clip
         if f.layout.kind == "rgb":
             y: ndarray = self.picture.reformat(format="gray").to_ndarray()
         else:
-            y = planes_of(self.picture, f.layout)[0][:, : f.width]
+            y = planes_of(self.picture, f.layout)[0][:, : f.coded_width]
             if f.layout.depth > 8:
                 y = (y >> (f.layout.depth - 8)).astype(np.uint8)
         out = f.orientation.upright(y)
@@ -75,7 +71,7 @@ class Frame:
         """(h, w, 3) uint8 R'G'B' of the whole upright picture, for looking at.
 
         how : as of `reformat`"""
-        f = self.format
+        f = self.clip
         shown = self.picture.reformat(
             format="rgb24",
             src_colorspace=SWS_MATRIX.get(f.matrix),
@@ -89,8 +85,10 @@ class Frame:
         """(h, w, 3) float32 linear RGB of the whole upright picture, at most `width` px
         wide; averaged in coded values.
         """
-        f, small = self.format, min(1.0, width / self.rect.width)
-        width, height = (max(round(side * small), 1) for side in (f.width, f.height))
+        f, small = self.clip, min(1.0, width / self.rect.width)
+        width, height = (
+            max(round(side * small), 1) for side in (f.coded_width, f.coded_height)
+        )
         return np.take(
             f.transfer.decode(np.arange(256) / 255).astype(np.float32),
             self.rgb8(width=width, height=height, interpolation="AREA"),
@@ -103,7 +101,7 @@ class Frame:
                 f" {[*self.rect]}"
             )
         shown = self.rect
-        turn = self.format.orientation
+        turn = self.clip.orientation
         return turn.coded_rect(rect, shown.width, shown.height)[:]
 
     def linear(self, rect: Rect, out: ndarray | None = None) -> ndarray:
@@ -114,7 +112,7 @@ class Frame:
         out : to write it to, None = a new array"""
         from arfx.media import samples  # whose compiler takes long to load
 
-        f, r = self.format, self._coded(rect)
+        f, r = self.clip, self._coded(rect)
         s = samples.samples_of(f)
         if out is None:
             out = np.empty((rect.height, rect.width, 3), np.float32)
@@ -123,24 +121,10 @@ class Frame:
             coded if coded.flags.c_contiguous else np.empty(coded.shape, np.float32)
         )
         planes = samples.three(planes_of(self.picture, f.layout))
-        samples.read(s, planes, r, samples.scratch_for(s, r), into)
+        samples.read(s, planes, r, into)
         if into is not coded:
             coded[...] = into
         return out
-
-    def linear_at(self, pixels: ndarray) -> ndarray:
-        """(n, 3) float32: `linear` of single upright pixels (n, 2) int, x and y.
-
-        Raises RenderError if one leaves the picture.
-        """
-        if not len(pixels):
-            return np.zeros((0, 3), np.float32)
-        (x0, y0), (x1, y1) = pixels.min(0).tolist(), pixels.max(0).tolist()
-        return np.ascontiguousarray(
-            self.linear(Rect(x0, y0, x1 + 1, y1 + 1))[
-                pixels[:, 1] - y0, pixels[:, 0] - x0
-            ]
-        )
 
     def edited(self, rect: Rect, before: ndarray, after: ndarray) -> Frame:
         """A new frame whose stored samples differ by convert(after) - convert(before)
@@ -153,7 +137,7 @@ class Frame:
         values that are not finite."""
         from arfx.media import samples
 
-        f, r = self.format, self._coded(rect)
+        f, r = self.clip, self._coded(rect)
         s = samples.samples_of(f)
         shape = (rect.height, rect.width, 3)
         if before.shape != shape or after.shape != shape:
@@ -166,7 +150,7 @@ class Frame:
             samples.three(planes_of(p, f.layout)) for p in (self.picture, picture)
         )
         light = (packed(f.orientation.coded(x)) for x in (before, after))
-        if not samples.add(s, old, new, r, *light, samples.scratch_for(s, r)):
+        if not samples.add(s, old, new, r, *light):
             bad = np.count_nonzero(~np.isfinite(after).all(-1))
             raise RenderError(
                 f"frame {self.index}: {bad} edited pixels in {[*rect]} are not"

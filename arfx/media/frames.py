@@ -18,7 +18,7 @@ from arfx.errors import InputError
 from arfx.media.clip import ClipInfo
 from arfx.media.codecs import open_video
 from arfx.media.frame import Frame
-from arfx.media.planes import repacked
+from arfx.media.planes import layout_named, repacked
 
 # a file that ends this much before its stated end was cut off; container durations are
 # rounded, not this far
@@ -84,7 +84,6 @@ class ClipReader:
         seeks: bool = True,
     ) -> None:
         self.info = info
-        self._format = info.frame_format()
         self._threads = 1 if careful else threads
         self._seeks, self._strict = seeks and not careful, strict
         # AVI counts frames in that order, and has no other times
@@ -117,23 +116,17 @@ class ClipReader:
         self._end = self._first = self.info.start_pts
         return stream
 
-    def frames(
-        self,
-        first_pts: int | None = None,
-        last_pts: int | None = None,
-        first_index: int = 0,
-    ) -> Iterator[Frame]:
-        """Frames with first_pts <= pts <= last_pts; `index` counts from first_index.
+    def frames(self, first_pts: int | None = None) -> Iterator[Frame]:
+        """Frames from first_pts on; `index` counts them.
         Seeks to the key frame at or before first_pts; where seeking is not exact, decodes
         from the start."""
-        index = itertools.count(first_index)
+        layout, index = self.info.layout, itertools.count()
         for picture, pts in self._pictures(first_pts):
-            if last_pts is not None and pts > last_pts:
-                return
             if first_pts is None or pts >= first_pts:
-                held = repacked(picture, self._format.layout.name)
+                as_it_is = layout_named(picture.format.name) == layout
+                held = picture if as_it_is else repacked(picture, layout.name)
                 key = bool(picture.key_frame)
-                yield Frame(held, self._format, next(index), pts, key)
+                yield Frame(held, self.info, next(index), pts, key)
 
     def times(self) -> FrameTimes | None:
         """None where packets do not tell: a time is missing, there twice, or they go back."""

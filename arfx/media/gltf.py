@@ -153,7 +153,7 @@ def gltf_material(gltf: Gltf, number: int, coloured: bool) -> Material:
     fields["emissive"] = tuple(float(strength) * v for v in fields["emissive"])
     if not any(fields["emissive"]):
         fields["emissive_texture"] = None
-    if fields["clearcoat_normal_texture"] is not None:
+    if "clearcoatNormalTexture" in extensions.get("KHR_materials_clearcoat", {}):
         notices.append("left out bumps of clear coat: it lies evenly")
     specular = extensions.get("KHR_materials_specular", {})
     if not specular.keys().isdisjoint(_TINTS):

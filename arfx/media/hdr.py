@@ -10,7 +10,6 @@ import av
 
 from arfx.core.colour import HLG, PQ, Transfer
 
-Options = tuple[tuple[str, str], ...]  # of an encoder
 TRANSFERS = {16: Transfer(PQ), 18: Transfer(HLG)}  # by their number, H.273 table 3
 # What changes from scene to scene, and is of the picture before it was changed
 _DYNAMIC = {"DOVI_METADATA": "Dolby Vision", "DYNAMIC_HDR_PLUS": "HDR10+"}
@@ -60,25 +59,25 @@ def content_light(beside: Mapping[str, bytes]) -> tuple[int, int] | None:
     return struct.unpack("=2I", data[:8]) if len(data) >= 8 else None
 
 
-def with_static_data(
-    options: Options,
+def add_static_data(
+    options: dict[str, str],
     codec: str,
     display: tuple[float, ...] | None,
     light: tuple[int, int] | None,
     notices: list[str],
-) -> Options:
-    """An encoder's options, with what makes it write these; a notice where it cannot.
+) -> None:
+    """To an encoder's options, what makes it write these; a notice where it cannot.
 
     display, light : as of `mastering_display` and `content_light`"""
     if display is None and light is None:
-        return options
+        return
     if codec not in _OPTIONS:
         notices.append(
             f"{codec} files do not keep the clip's mastering display and light level"
         )
-        return options
+        return
     name, of_display, of_light, units, units_cd_m2 = _OPTIONS[codec]
-    said = []
+    said = [options[name]]
     if display is not None:
         numbers = [f"{units * x:.10g}" for x in display[:8]]
         red, green, blue, white = (
@@ -90,4 +89,4 @@ def with_static_data(
         )
     if light is not None:
         said.append(f"{of_light}={light[0]},{light[1]}")
-    return tuple((k, ":".join([v, *said]) if k == name else v) for k, v in options)
+    options[name] = ":".join(said)

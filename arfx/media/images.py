@@ -63,8 +63,8 @@ def write_exr(path: Path, linear: ndarray) -> None:
     ctx.height, ctx.width = a.shape[:2]
     ctx.pix_fmt, ctx.time_base = fmt, Fraction(1, 25)
     ctx.options = {"compression": "zip16", "format": "float"}
-    packets = ctx.encode(av.VideoFrame.from_ndarray(a, format=fmt)) + ctx.encode(None)
-    _write(path, b"".join(bytes(p) for p in packets))
+    (packet,) = ctx.encode(av.VideoFrame.from_ndarray(a, format=fmt))
+    _write(path, bytes(packet))
 
 
 def load_image(path: Path) -> ndarray:

@@ -70,15 +70,11 @@ class ModelFile:
             image = None
             with contextlib.suppress(InputError):
                 image = self._opened(content() if content else self.read(name))
-            self._pictures[name] = self.texels(image)
+            self._pictures[name] = None if image is None else self._decoded(image)
         return self._pictures[name]
 
-    def texels(self, image: Any) -> ndarray | None:
-        """(h, w, 4) uint8 of a picture of Pillow, which is closed; None for None.
-
-        Raises InputError: too large, damaged."""
-        if image is None:
-            return None
+    def _decoded(self, image: Any) -> ndarray:
+        """(h, w, 4) uint8 of a picture of Pillow, which is closed."""
         width, height = image.size
         if max(width, height) > MAX_TEXTURE_PX:
             hint = f"at most {MAX_TEXTURE_PX} px a side: scale it down"
@@ -109,15 +105,6 @@ class ModelFile:
         self.notices.append(f"textures left out: {why}")
         return None
 
-    def get(self, name: str) -> bytes:
-        """A picture, for trimesh, which itself would open any kind. Raises InputError."""
-        data = self.read(name)
-        if self._opened(data) is None:
-            raise InputError(f"it refers to {name}, which is no picture")
-        return data
-
-    __getitem__ = get
-
     def read(self, name: str) -> bytes:
         """The file that the model calls `name`.
 
@@ -138,25 +125,18 @@ class ModelFile:
         the model. Raises InputError."""
         plain = name.strip().strip("\"'")
         usual = unquote(plain).replace("\\", "/")
-        outside = False
         for candidate in (plain, usual, usual.rpartition("/")[2]):
             with contextlib.suppress(OSError, ValueError):  # too long, a NUL in it
                 place = Path(os.path.normpath(self._folder / candidate))
                 if not place.is_relative_to(self._folder):
                     # not even looked for: the system may ask another machine (//host/x)
-                    outside = True
                     continue
                 found = self._alike(place).resolve()
-                if found.exists() and found != self._folder:
-                    if found.is_relative_to(self._folder):
-                        return found
-                    outside = True
+                if self._folder in found.parents and found.exists():
+                    return found
         shown = name if len(name) < 200 else f"{name[:200]}…"
-        if outside:
-            what = f"{shown}, which lies outside its folder {self._folder}"
-            raise InputError(what, "put it into the model's folder")
         what = f"{shown}, which is not in its folder {self._folder}"
-        raise InputError(what, "put it there")
+        raise InputError(what, "put it there: nothing outside is read")
 
     def _alike(self, place: Path) -> Path:
         """The same path; under the names that are on the disk, where they differ in case or

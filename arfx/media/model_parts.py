@@ -100,7 +100,7 @@ def part_of(
         signs = side * np.sign(rows["tangents"][:, 3])
         rows["tangents"] = np.column_stack([along, signs])
     part = _indexed(faces, rows, own, material)
-    texture = material.normal_texture or material.clearcoat_normal_texture
+    texture = material.normal_texture
     uv = None if texture is None else part.uv_on(texture)
     if uv is None:
         return replace(part, tangents=None)

@@ -1,10 +1,9 @@
 """Virtual models from files: geometry with normals, materials and textures in arfx's own terms.
 
-glTF/GLB is read by gltf_parts.py; OBJ with MTL by obj_files.py; PLY, STL, OFF and DAE through
+glTF/GLB is read by gltf_parts.py; OBJ with MTL by obj_files.py; PLY, STL and OFF through
 trimesh. Errors say what is wrong with the file and how many vertices or faces it concerns; what was
 repaired is in `Model.notices`. Leaves out: skins, animation, morph targets, lines and points."""
 
-import importlib.util
 import io
 import logging
 import re
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from arfx.core.model import Material, Model, Texture
+from arfx.core.model import Model, Texture
 from arfx.core.numerics import same_rows
 from arfx.core.opener import read_bytes
 from arfx.errors import ArfxError, InputError
@@ -25,7 +24,6 @@ from arfx.media.model_files import DAMAGED, NO_TRIANGLES, TABLES, ModelFile
 from arfx.media.model_parts import (
     Placed,
     Rows,
-    checked,
     linear_colours,
     part_of,
     plain_material,
@@ -52,7 +50,7 @@ def load_model(path: Path | str, up: str | None = None) -> Model:
     """Read a model file.
 
     path : of a format in models.toml; textures beside it, names with spaces included
-    up : "x", "y" or "z", the file axis that points up; None = of its kind (glTF, OBJ, DAE: y)
+    up : "x", "y" or "z", the file axis that points up; None = of its kind (glTF, OBJ: y)
 
     Returns a Model in the file's own axes and units, faces counter-clockwise from outside, normals
     unit. Raises InputError: missing or unreadable file, no faces, vertices that are not finite,
@@ -101,51 +99,30 @@ def _kind(path: Path, data: bytes) -> str:
         kind = "gltf"
     if kind not in _UP:
         what = f"{path.suffix or 'no suffix'} is not a format that is read"
-        raise InputError(what, "a GLB, glTF, OBJ, PLY, STL, OFF or DAE file")
-    if kind == "dae" and (b"<!ENTITY" in data or b"\0" in data[:200]):
-        raise InputError(
-            "it defines XML entities, or is not UTF-8", "export it again"
-        )
-    if kind == "dae" and importlib.util.find_spec("collada") is None:
-        what = "the package pycollada is not installed"
-        raise InputError(what, "convert it to GLB or OBJ")
+        raise InputError(what, "convert it to GLB, glTF, OBJ, PLY, STL or OFF")
     return kind
 
 
 def trimesh_meshes(file: ModelFile) -> Iterator[Placed]:
     """All meshes of a file. Nobody promises the winding of these formats: both sides are shown.
 
-    Raises InputError: limits, damaged materials; what trimesh's parsers raise."""
+    Raises InputError: limits, a damaged texture; what trimesh's parsers raise."""
     import trimesh
 
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # we say it ourselves
     file.check_counts(_stated_faces(file.data, file.kind))
     data, texture = _ply(file) if file.kind == "ply" else (file.data, None)
-    scene = trimesh.load_scene(
-        io.BytesIO(data),
-        file_type=file.kind,
-        resolver=file,  # type: ignore[arg-type]
-        process=False,
-    )
-    materials: dict[int, Material] = {}  # the scene keeps what is known by its id
-    for node in scene.graph.nodes_geometry:
-        model_from_mesh, name = scene.graph[node]
-        mesh: Any = scene.geometry[name]
+    scene = trimesh.load_scene(io.BytesIO(data), file_type=file.kind, process=False)
+    for mesh in scene.geometry.values():
         if not hasattr(mesh, "faces"):
             file.notices.append(NO_TRIANGLES)
             continue
         faces, rows = _mesh(mesh)
-        given = getattr(mesh.visual, "material", None)
+        coloured = "colours" in rows or texture is not None
+        material = plain_material(coloured, double_sided=True)
         if texture is not None:
-            plain = plain_material(has_colours=True, double_sided=True)
-            material = replace(plain, base_texture=texture, roughness=1.0)
-        elif type(given).__name__ == "PBRMaterial":
-            if id(given) not in materials:
-                materials[id(given)] = _of_collada(file, given)
-            material = materials[id(given)]
-        else:  # trimesh's own grey
-            material = plain_material("colours" in rows, double_sided=True)
-        yield faces, rows, np.asarray(model_from_mesh, float), material
+            material = replace(material, base_texture=texture, roughness=1.0)
+        yield faces, rows, np.eye(4), material
 
 
 def _ply(file: ModelFile) -> tuple[bytes, Texture | None]:
@@ -169,21 +146,6 @@ def _ply(file: ModelFile) -> tuple[bytes, Texture | None]:
         what = f"{lost} of its textures left out: one, with coordinates, is shown"
         file.notices.append(what)
     return head.encode() + end + body, texture
-
-
-def _of_collada(file: ModelFile, given: Any) -> Material:
-    """What trimesh reads of it; a texture is laid by the first coordinates as they are."""
-    red, green, blue, alpha = (np.resize(given.baseColorFactor, 4) / 255.0).tolist()
-    glow_red, glow_green, glow_blue = map(float, given.emissiveFactor)
-    picture = file.texels(given.baseColorTexture)
-    return checked(
-        Material(
-            base_colour=(red, green, blue, alpha),
-            base_texture=None if picture is None else Texture(picture),
-            roughness=float(given.roughnessFactor),
-            emissive=(glow_red, glow_green, glow_blue),
-        )
-    )
 
 
 def _stated_faces(data: bytes, kind: str) -> int:

@@ -4,7 +4,7 @@ pixel format, tags.
 
 import itertools
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -49,7 +49,7 @@ class OutputSettings:
 class OutputPlan(Document):
     """What will be written. container : FFmpeg's muxer, "" for an image sequence, PHOTO for
     one picture
-    options : the encoder's, in order
+    options : the encoder's
     matrix, full_range : of the written samples;  *_tag : as written into the file (ITU-T H.273)
     streams : indices of the source's further streams that are copied"""
 
@@ -57,7 +57,7 @@ class OutputPlan(Document):
     codec: str
     container: str
     pixel_format: str
-    options: hdr.Options
+    options: Mapping[str, str]
     matrix: str
     full_range: bool
     matrix_tag: int = UNSPECIFIED
@@ -130,9 +130,9 @@ def plan_output(
         notices.append(
             f"{counts} counts time in milliseconds: frame times are rounded to 1 ms"
         )
-    static = (info.mastering_display, info.content_light)
-    options = hdr.with_static_data(
-        _options(codec, settings), codec.name, *static, notices
+    options = _options(codec, settings)
+    hdr.add_static_data(
+        options, codec.name, info.mastering_display, info.content_light, notices
     )
     return OutputPlan(
         path,
@@ -221,7 +221,7 @@ def image_names(pattern: str) -> Callable[[str], bool]:
     return named
 
 
-def _options(codec: Codec, settings: OutputSettings) -> hdr.Options:
+def _options(codec: Codec, settings: OutputSettings) -> dict[str, str]:
     options, crf, preset = dict(codec.options), settings.crf, settings.preset
     for what in ("crf", "preset"):
         asked, usual = getattr(settings, what), getattr(codec, what)
@@ -241,7 +241,7 @@ def _options(codec: Codec, settings: OutputSettings) -> hdr.Options:
         ctx: Any = av.CodecContext.create(codec.encoder, "w")
         ctx.width = ctx.height = 64
         ctx.pix_fmt, ctx.time_base = codec.formats[0].name, Fraction(1, 25)
-        ctx.options = dict(options)
+        ctx.options = options
         try:
             open_encoder(ctx)
         except (av.error.FFmpegError, ValueError):
@@ -252,7 +252,7 @@ def _options(codec: Codec, settings: OutputSettings) -> hdr.Options:
             raise ConfigError(
                 f"{codec.encoder} does not take preset {preset!r}", usual
             ) from None
-    return tuple(sorted(options.items()))
+    return options
 
 
 def check_times(plan: OutputPlan, pts: Sequence[int], time_base: Fraction) -> None:
@@ -289,8 +289,6 @@ def _pixel_format(
                 "use yuv444p",
             )
         return held
-    if source.alpha:
-        notices.append("the clip's transparency is not written")
     target = nearest_format(source, codec, odd)
     if target is None:
         able = (
@@ -370,5 +368,5 @@ def _plan_sequence(
             f"images hold no further streams; left out: {', '.join(others)}"
         )
     return OutputPlan(
-        path, codec.name, "", fmt, (), info.matrix, True, notices=tuple(notices)
+        path, codec.name, "", fmt, {}, info.matrix, True, notices=tuple(notices)
     )

@@ -1,15 +1,14 @@
 """Stored pixels: which formats are worked on directly, views of a picture's planes, and how
 they lie when shown upright.
 
-A working format is planar: YUV with any subsampling, grey, or RGB as gbrp, with 8 to 16
-bits. Everything else (nv12, yuyv, packed RGB, palettes) is repacked into one once per
-picture, without loss where such a format exists."""
+A working format is planar: YUV with chroma of every or of every second sample, grey, or
+RGB as gbrp, with 8 to 16 bits. Everything else (nv12, yuyv, 4:1:1, packed RGB, palettes) is
+repacked into one once per picture, without loss where such a format exists."""
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from fractions import Fraction
-from functools import cache, cached_property
+from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import av
@@ -18,28 +17,25 @@ from av.codec.codec import find_best_pix_fmt_of_list
 from av.video.format import names as video_formats  # type: ignore[attr-defined]
 from numpy import ndarray
 
-from arfx.core.colour import SRGB, Transfer
 from arfx.core.rect import Rect
 
 _NAME = re.compile(
-    r"(?P<kind>yuv[ja]?|gray|gbra?)(?P<sub>420|422|444|440|411|410)?p?"
-    r"(?P<bits>9|10|12|14|16)?(le)?"
+    r"(yuv[ja]?(?P<sub>420|422|444|440)p|gbra?p|gray)(?P<bits>9|10|12|14|16)?(le)?"
 )
 _SUBSAMPLING = {
     "420": (1, 1),
     "422": (1, 0),
     "444": (0, 0),
     "440": (0, 1),
-    "411": (2, 0),
-    "410": (2, 2),
 }
 _NAME_OF = {v: k for k, v in _SUBSAMPLING.items()}
 
 
 @dataclass(frozen=True)
 class PixelLayout:
-    """A working format. kind : yuv | gray | rgb;  depth : bits per sample;  sub_x, sub_y :
-    log2 of the chroma step.
+    """A working format. name : FFmpeg's of the planes that are worked on: without
+    transparency, and without its deprecated j, as the range is a tag, not a format;  kind :
+    yuv | gray | rgb;  depth : bits per sample;  sub_x, sub_y : log2 of the chroma step, 0 or 1.
     """
 
     name: str
@@ -47,7 +43,6 @@ class PixelLayout:
     depth: int
     sub_x: int = 0
     sub_y: int = 0
-    alpha: bool = False
 
     @property
     def dtype(self) -> np.dtype:
@@ -57,11 +52,6 @@ class PixelLayout:
     def subsampling(self) -> str:
         return _NAME_OF[self.sub_x, self.sub_y]
 
-    @cached_property
-    def plain_name(self) -> str:
-        """The same planes without FFmpeg's deprecated j: the range is a tag, not a format."""
-        return self.name.replace("yuvj", "yuv")
-
     def holds(self, odd: tuple[int, int]) -> bool:
         """Whether its chroma covers a picture of odd width, height."""
         return not (odd[0] and self.sub_x) and not (odd[1] and self.sub_y)
@@ -70,31 +60,40 @@ class PixelLayout:
     def peak(self) -> int:
         return (1 << self.depth) - 1
 
+    def stored(self, full_range: bool) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Of luma, grey or RGB samples, and of chroma: the value of 0, steps up to 1 (of chroma
+        from -0.5 to 0.5), lowest and highest legal value.
+
+        Source: ITU-R BT.601/709/2020."""
+        up, peak = 1 << (self.depth - 8), self.peak
+        if full_range:
+            return (0, peak, 0, peak), (128 * up, peak, 0, peak)
+        luma, chroma = (16, 219, 16, 235), (128, 224, 16, 240)
+        return tuple(up * v for v in luma), tuple(up * v for v in chroma)
+
 
 @cache
 def layout_named(name: str) -> PixelLayout | None:
     """The layout of a working format; None for every other format."""
     m = _NAME.fullmatch(name)
-    if m is None or name.startswith("yuv") != bool(m["sub"]):
+    if m is None:
         return None
     kind = "yuv" if m["sub"] else "rgb" if name.startswith("gbr") else "gray"
-    sub, alpha = _SUBSAMPLING.get(m["sub"], (0, 0)), m["kind"] in ("yuva", "gbra")
-    return PixelLayout(name, kind, int(m["bits"] or 8), *sub, alpha)
+    plain = re.sub("(yuv|gbr)[ja]", r"\1", name)
+    sub = _SUBSAMPLING.get(m["sub"], (0, 0))
+    return PixelLayout(plain, kind, int(m["bits"] or 8), *sub)
 
 
 @cache
 def working_layout(name: str) -> tuple[PixelLayout, str]:
     """The working format for a decoded format, and a notice ("" when the planes are used as
     they are): that which loses least, as FFmpeg reckons it."""
-    if layout := layout_named(name):
-        return layout, ""
-    known = {
-        f.name: f for n in video_formats if (f := layout_named(n)) and not f.alpha
-    }
-    plain = [n for n, f in known.items() if n == f.plain_name]
-    best, _ = find_best_pix_fmt_of_list(plain, name)
-    assert best is not None
     alpha = any(c.is_alpha for c in av.VideoFormat(name, 16, 16).components)
+    if layout := layout_named(name):
+        return layout, "the clip's transparency is not written" if alpha else ""
+    known = {f.name: f for n in video_formats if (f := layout_named(n))}
+    best, _ = find_best_pix_fmt_of_list(list(known), name)
+    assert best is not None
     lost = " (its transparency is left out)" if alpha else ""
     return known[best.name], f"pixel format {name} is repacked to {best.name}{lost}"
 
@@ -111,9 +110,9 @@ def planes_of(picture: av.VideoFrame, layout: PixelLayout) -> list[ndarray]:
 
 
 def copy_picture(picture: av.VideoFrame, layout: PixelLayout) -> av.VideoFrame:
-    """A writable copy with the same samples and tags, under the format's plain name (no yuvj)."""
-    out = av.VideoFrame(picture.width, picture.height, layout.plain_name)
-    for a, b in zip(planes_of(picture, layout), planes_of(out, layout), strict=True):
+    """A writable copy with the same samples and tags, without transparency."""
+    out = av.VideoFrame(picture.width, picture.height, layout.name)
+    for a, b in zip(planes_of(picture, layout), planes_of(out, layout), strict=False):
         n = min(a.shape[1], b.shape[1])
         np.copyto(b[:, :n], a[:, :n])
     out.pts = picture.pts
@@ -132,7 +131,7 @@ def repacked(picture: av.VideoFrame, name: str, **how: Any) -> av.VideoFrame:
     if given == name:
         return picture
     held = layout_named(given)
-    if held is not None and held.plain_name == name.replace("yuvj", "yuv"):
+    if held is not None and held.name == name:
         return copy_picture(picture, held)
     if not how:
         how = {"interpolation": "POINT"}
@@ -187,50 +186,9 @@ def orientation_of(matrix: Sequence[int] | None) -> tuple[Orientation, bool]:
     x' = a x + c y, y' = b x + d y with a, b, c, d at 0, 1, 3, 4 (FFmpeg
     libavutil/display.h). A turn that is no multiple of 90 degrees is taken to the nearest
     one."""
-    if matrix is None:
-        return Orientation(), True
-    a, b, c, d = (float(matrix[i]) for i in (0, 1, 3, 4))
+    a, b, _, c, d = (matrix or (1, 0, 0, 0, 1))[:5]
     straight, turned = abs(a) + abs(d), abs(b) + abs(c)
-    if straight == 0 and turned == 0:
-        return Orientation(), False
-    if straight >= turned:
-        return Orientation(False, a < 0, d < 0), turned < 1e-3 * straight
-    return Orientation(True, c < 0, b < 0), straight < 1e-3 * turned
-
-
-@dataclass(frozen=True)
-class FrameFormat:
-    """What all frames of a clip share.
-
-    width, height : coded px; chroma_location : left | center | topleft.
-    """
-
-    layout: PixelLayout
-    width: int
-    height: int
-    time_base: Fraction
-    matrix: str = "bt709"
-    full_range: bool = False
-    transfer: Transfer = SRGB
-    chroma_location: str = "left"
-    orientation: Orientation = field(default_factory=Orientation)
-
-    @property
-    def cosited(self) -> tuple[bool, bool]:
-        """Whether chroma lies on the left, and on the top, luma sample of its group (else
-        in the middle).
-        """
-        where = self.chroma_location
-        return where in ("left", "topleft"), where == "topleft"
-
-    @property
-    def stored(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Of luma, grey or RGB samples, and of chroma: the value of 0, steps up to 1 (of chroma
-        from -0.5 to 0.5), lowest and highest legal value.
-
-        Source: ITU-R BT.601/709/2020."""
-        up, peak = 1 << (self.layout.depth - 8), self.layout.peak
-        if self.full_range:
-            return (0, peak, 0, peak), (128 * up, peak, 0, peak)
-        luma, chroma = (16, 219, 16, 235), (128, 224, 16, 240)
-        return tuple(up * v for v in luma), tuple(up * v for v in chroma)
+    transpose = turned > straight
+    across, down = (c, b) if transpose else (a, d)
+    exact = min(straight, turned) < 1e-3 * max(straight, turned)
+    return Orientation(transpose, across < 0, down < 0), exact

@@ -12,14 +12,16 @@ changed keeps its bits and what is lies within a step."""
 
 # mypy: disable-error-code="no-untyped-def, index, assignment, call-arg, var-annotated"
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy import ndarray
 
 from arfx.core.colour import Transfer, yuv_from_rgb
-from arfx.core.compiled import FAST, line_kernel
-from arfx.media.planes import FrameFormat
+from arfx.core.compiled import FAST, kernel, line_kernel
+
+if TYPE_CHECKING:
+    from arfx.media.clip import ClipInfo
 
 _F, _I, _U = np.float32, np.int32, np.uint32
 MARGIN = 16  # values by which lines of chroma are longer than the picture's part
@@ -38,14 +40,14 @@ Rows = tuple[tuple[np.float32, ...], ...]
 class Samples(NamedTuple):
     """What stored samples stand for.
 
-    size : columns and rows of the picture;  steps : log2 of the chroma step (x, y)
+    size : columns and rows of the picture;  steps : log2 of the chroma step (x, y), 0 or 1
     levels : (3, 5) of each plane's samples: that of 0, size of a step, steps up to 1, lowest
     and highest legal one
     rgb_from_planes, planes_from_rgb : (3, 3), coded
-    middle : (x, y) 0 where chroma lies on the left/top luma sample of its group, 0.5 in its
-    middle
-    taps_x, taps_y : weights of the luma samples from 2^step - 1 before to 2^step - 1 behind a
-    group's first one in its chroma
+    middle : 0 where chroma lies on the left luma sample of its group, 0.5 in its middle; of
+    rows it lies in the middle
+    taps : weights in chroma of the luma samples before, at and behind the first of a group
+    of two; 1 where there are no groups
     decoding, encoding : (n,) float32 tables;  scale : entries of the first to one;  shift :
     bits of a float that the second leaves out
     """
@@ -55,9 +57,8 @@ class Samples(NamedTuple):
     levels: Rows
     rgb_from_planes: Rows
     planes_from_rgb: Rows
-    middle: tuple[np.float32, np.float32]
-    taps_x: ndarray
-    taps_y: ndarray
+    middle: np.float32
+    taps: ndarray
     decoding: ndarray
     encoding: ndarray
     scale: np.float32
@@ -94,9 +95,7 @@ def _chroma_line(s, plane, level, row, left, samples, out):
     up to the last of w = len(out) - MARGIN. samples : scratch"""
     (width, height), (sx, sy) = s.size, s.steps
     last = (height - 1) >> sy
-    place = min(
-        max((_F(row) + s.middle[1]) / _F(1 << sy) - s.middle[1], _F(0)), _F(last)
-    )
+    place = min(max((_F(row) + _F(0.5)) / _F(1 << sy) - _F(0.5), _F(0)), _F(last))
     r0 = _I(place)
     share = place - _F(r0)
     first = (left >> sx) - 1  # with one sample more at both ends
@@ -109,19 +108,15 @@ def _chroma_line(s, plane, level, row, left, samples, out):
         top = _F(above[k])
         inner[k] = (top + share * (_F(below[k]) - top) - level[0]) * level[1]
     samples[0], samples[n - 1] = samples[a], samples[b - 1]
-    if sx == 1:  # in pairs
-        before, behind = s.middle[0] * _F(0.5), _F(0.5) - s.middle[0] * _F(0.5)
+    if sx == 0:
         for k in range(n - 2):
-            x = samples[k + 1]
-            out[2 * k] = x + before * (samples[k] - x)
-            out[2 * k + 1] = x + behind * (samples[k + 2] - x)
+            out[k] = samples[k + 1]
         return
-    for k in range(1 << sx):
-        part = (_F(k) + s.middle[0]) / _F(1 << sx) - s.middle[0]
-        other = samples[2:] if part >= 0 else samples
-        for i in range(n - 2):
-            x = samples[i + 1]
-            out[(i << sx) + k] = x + abs(part) * (other[i] - x)
+    before, behind = s.middle * _F(0.5), _F(0.5) - s.middle * _F(0.5)
+    for k in range(n - 2):
+        x = samples[k + 1]
+        out[2 * k] = x + before * (samples[k] - x)
+        out[2 * k + 1] = x + behind * (samples[k + 2] - x)
 
 
 @line_kernel(fastmath=False)  # so sums of three products are rounded alike everywhere
@@ -131,7 +126,7 @@ def _coded_line(s, planes, row, left, scratch, out):
     for c in range(2):
         line = scratch[c][: w + MARGIN]
         _chroma_line(s, planes[1 + c], s.levels[1 + c], row, left, scratch[2], line)
-    start = left - ((left >> s.steps[0]) << s.steps[0])
+    start = left & s.steps[0]
     u, v = scratch[0][start:], scratch[1][start:]
     luma = planes[0][row][left : left + w]
     one, two, three = np.uintp(1), np.uintp(2), np.uintp(3)
@@ -142,12 +137,11 @@ def _coded_line(s, planes, row, left, scratch, out):
         out[i + two] = blue[0] * y + blue[1] * u[k] + blue[2] * v[k]
 
 
-@line_kernel(fastmath=FAST)
-def read(s, planes, rect, scratch, out):
-    """out (h, w, 3) float32 linear RGB of coded `rect` (x0, y0, x1, y1).
-
-    scratch : of `scratch_for`"""
-    lines, places = scratch[0], scratch[1]
+@kernel(fastmath=FAST)
+def read(s, planes, rect, out):
+    """out (h, w, 3) float32 linear RGB of coded `rect` (x0, y0, x1, y1)."""
+    w = out.shape[1]
+    lines, places = np.empty((3, w + MARGIN), _F), np.empty(3 * w, _U)
     last = _I(s.decoding.shape[0] - 1)
     for j in range(out.shape[0]):
         line = out[j].reshape(-1)
@@ -158,16 +152,19 @@ def read(s, planes, rect, scratch, out):
         _looked_up(s.decoding, places, line)
 
 
-@line_kernel(fastmath=FAST)
-def add(s, planes, target, rect, before, after, scratch):
+@kernel(fastmath=FAST)
+def add(s, planes, target, rect, before, after):
     """Adds the difference of two pictures to stored samples.
 
     planes : as they are read;  target : copies of them, which are changed;  rect : coded
     before, after : (h, w, 3) float32 linear light; equal values change nothing
-    scratch : of `scratch_for`
     Only chroma samples of the rectangle, grown to their grid, can change. Returns whether
     `after` is finite; else `target` is worth nothing."""
-    lines, places, values, sums = scratch
+    (x0, y0, x1, y1), (sx, sy), w = rect, s.steps, before.shape[1]
+    lines, places = np.empty((3, w + MARGIN), _F), np.empty(3 * w, _U)
+    values = np.empty((2, 3 * w), _F)
+    origin, top = x0 >> sx, y0 >> sy
+    sums = np.zeros((2, -(-y1 >> sy) - top, -(-x1 >> sx) - origin), _F)
     for j in range(before.shape[0]):
         old, new = before[j].reshape(-1), after[j].reshape(-1)
         first, last = 0, old.shape[0]
@@ -179,17 +176,16 @@ def add(s, planes, target, rect, before, after, scratch):
         if last <= first:
             continue
         old, new = old[3 * first : 3 * last], new[3 * first : 3 * last]
-        row, left = rect[1] + j, rect[0] + first
+        row, left = y0 + j, x0 + first
         coded, wanted = values[0][: old.shape[0]], values[1][: old.shape[0]]
         _coded_line(s, planes, row, left, lines, coded)
         if not _differences(s, old, new, coded, wanted, places):
             return False
-        luma = target[0][row][left : rect[0] + last]
+        luma = target[0][row][left : x0 + last]
         _add_line(s, luma, row, left, coded, rect, lines, sums)
-    left, top = rect[0] >> s.steps[0], rect[1] >> s.steps[1]
     for c in range(2):
         for r in range(sums.shape[1]):
-            _add_steps(target[1 + c][top + r][left:], sums[c, r], s.levels[1 + c])
+            _add_steps(target[1 + c][top + r][origin:], sums[c, r], s.levels[1 + c])
     return True
 
 
@@ -233,9 +229,7 @@ def _add_line(s, luma, row, left, coded, rect, scratch, sums):
     Beyond the line they are zero, beyond the picture its edge goes on."""
     (width, height), (sx, sy), (to_y, to_u, to_v) = s.size, s.steps, s.planes_from_rgb
     n, top, origin = luma.shape[0], rect[1] >> sy, rect[0] >> sx
-    start = (
-        (left & ((1 << sx) - 1)) + (1 << sx) - 1
-    )  # place of the first pixel in a line
+    start = (left & sx) + sx  # place of the first pixel in a line
     end = start + n
     y, u, v = scratch[0][:n], scratch[1][start:end], scratch[2][start:end]
     one, two, three = np.uintp(1), np.uintp(2), np.uintp(3)
@@ -249,38 +243,27 @@ def _add_line(s, luma, row, left, coded, rect, scratch, sums):
     for c in range(1, 3):
         line = scratch[c]
         line[:start] = line[start] if left == 0 else _F(0)
-        line[end : end + (2 << sx)] = line[end - 1] if left + n == width else _F(0)
+        line[end : end + 2 + sx] = line[end - 1] if left + n == width else _F(0)
     first, last = (left >> sx) - origin, ((left + n - 1) >> sx) + 2 - origin
-    for group in range(row >> sy, min((row >> sy) + 2, top + sums.shape[1])):
-        weight = _F(0)
-        for k in range(s.taps_y.shape[0]):
-            place = (group << sy) + k + 1 - (1 << sy)
-            if min(max(place, 0), height - 1) == row:
-                weight += s.taps_y[k]
-        for c in range(2 if weight > 0 else 0):
-            line = sums[c][group - top][first:last]  # ends with the rectangle
-            _add_reduced(scratch[1 + c], sx, s.taps_x, weight, line)
+    group = row >> sy
+    weight = _F(1) / _F(1 << sy)
+    if row == height - 1:  # it stands for those beyond as well
+        weight *= _F(((group + 1) << sy) - row)
+    for c in range(2):
+        line = sums[c][group - top][first:last]  # ends with the rectangle
+        _add_reduced(scratch[1 + c], s.taps, weight, line)
 
 
 @line_kernel(fastmath=FAST)
-def _add_reduced(line, step, taps, weight, out):
-    """out[i] += weight times the weighted sum of the samples of `line` from i << step on."""
-    if step == 1:
-        a, b, c = weight * taps[0], weight * taps[1], weight * taps[2]
+def _add_reduced(line, taps, weight, out):
+    """out[i] += weight times the sum of the samples of `line` about i's group, or of the i-th."""
+    if taps.shape[0] == 1:
         for i in range(out.shape[0]):
-            out[i] += a * line[2 * i] + b * line[2 * i + 1] + c * line[2 * i + 2]
+            out[i] += weight * line[i]
         return
-    for k in range(taps.shape[0]):
-        share = weight * taps[k]
-        for i in range(out.shape[0]):
-            out[i] += share * line[(i << step) + k]
-
-
-def _taps(step: int, cosited: bool) -> ndarray:
-    n = 1 << step
-    away = np.arange(1 - n, n)
-    share = (n - abs(away)) / n**2 if cosited else (away >= 0) / n
-    return share.astype(np.float32)
+    a, b, c = weight * taps[0], weight * taps[1], weight * taps[2]
+    for i in range(out.shape[0]):
+        out[i] += a * line[2 * i] + b * line[2 * i + 1] + c * line[2 * i + 2]
 
 
 def _float32(values: Any) -> Any:
@@ -291,11 +274,13 @@ def _float32(values: Any) -> Any:
 
 
 @lru_cache(maxsize=8)
-def samples_of(f: FrameFormat) -> Samples:
-    """What the samples of a format stand for."""
-    layout = f.layout
-    luma, chroma = ((zero, 1 / n, n, *legal) for zero, n, *legal in f.stored)
-    from_rgb = yuv_from_rgb(f.matrix)
+def samples_of(clip: ClipInfo) -> Samples:
+    """What the samples of a clip stand for."""
+    layout = clip.layout
+    luma, chroma = (
+        (zero, 1 / n, n, *legal) for zero, n, *legal in layout.stored(clip.full_range)
+    )
+    from_rgb = yuv_from_rgb(clip.matrix)
     to_rgb = np.linalg.inv(from_rgb)
     if layout.kind == "rgb":  # as green, blue, red
         from_rgb, chroma = np.eye(3)[[1, 2, 0]], luma
@@ -304,20 +289,20 @@ def samples_of(f: FrameFormat) -> Samples:
         layout.kind == "gray"
     ):  # three times the same plane: no difference of "chroma"
         from_rgb, to_rgb = from_rgb * [[1], [0], [0]], np.ones((3, 3)) * [1, 0, 0]
-    steps, cosited = (layout.sub_x, layout.sub_y), f.cosited
-    middle = [0 if left else 0.5 for left in cosited]
+    cosited = clip.chroma_location == "left"
+    halved = (0.25, 0.5, 0.25) if cosited else (0, 0.5, 0.5)
+    taps = np.array(halved if layout.sub_x else (1,), np.float32)
     fine = min(layout.depth + 2, 14)
     return Samples(
-        (f.width, f.height),
-        steps,
+        (clip.coded_width, clip.coded_height),
+        (layout.sub_x, layout.sub_y),
         _float32((luma, chroma, chroma)),
         _float32(to_rgb),
         _float32(from_rgb),
-        _float32(middle),
-        _taps(steps[0], cosited[0]),
-        _taps(steps[1], cosited[1]),
-        decoding_table(f.transfer, fine + 4),
-        encoding_table(f.transfer, fine),
+        np.float32(0 if cosited else 0.5),
+        taps,
+        decoding_table(clip.transfer, fine + 4),
+        encoding_table(clip.transfer, fine),
         np.float32(2 ** (fine + 4)),
         np.int32(23 - fine),
     )
@@ -326,14 +311,3 @@ def samples_of(f: FrameFormat) -> Samples:
 def three(planes: list[ndarray]) -> Any:
     """The planes for the loops: grey three times."""
     return tuple((planes * 3)[:3])
-
-
-def scratch_for(s: Samples, rect: tuple[int, ...]) -> tuple[ndarray, ...]:
-    """Memory for the loops over a coded rectangle: lines of planes, places in a table and
-    values of one line; zeros (2, h, w) for the chroma samples of the rectangle, grown to
-    their grid."""
-    (x0, y0, x1, y1), (sx, sy) = rect, s.steps
-    shape = 2, -(-y1 >> sy) - (y0 >> sy), -(-x1 >> sx) - (x0 >> sx)
-    w, kind = x1 - x0, np.float32
-    lines, values = np.empty((3, w + MARGIN), kind), np.empty((2, 3 * w), kind)
-    return lines, np.empty(3 * w, np.uint32), values, np.zeros(shape, kind)

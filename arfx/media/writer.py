@@ -86,7 +86,7 @@ class _Images:
             write_exr(path, linear)
         else:
             kind = np.uint8 if self._plan.pixel_format == "rgb24" else np.uint16
-            coded = np.clip(frame.format.transfer.encode(linear), 0, 1)
+            coded = np.clip(frame.clip.transfer.encode(linear), 0, 1)
             write_png(path, np.rint(coded * np.iinfo(kind).max).astype(kind))
         self._times.append(f"{frame.index} {frame.time_s:.9f}\n")
 
@@ -138,7 +138,7 @@ class _Video:
         self._shift = self._muxed = 0
 
     def write(self, frame: Frame) -> None:
-        f, plan = frame.format, self._plan
+        f, plan = frame.clip, self._plan
         picture = repacked(  # the same planes where the formats agree
             frame.picture,
             self._stream.pix_fmt,

@@ -132,7 +132,7 @@ def test_untouched_pixels_of_hlg_keep_their_bits_and_the_object_its_colour(
     shown = ordinary.linear(ordinary.rect)
     changed = np.zeros(seen.shape[:2], bool)
     for a, b in zip(
-        *(planes_of(f.picture, f.format.layout) for f in (before, after)), strict=True
+        *(planes_of(f.picture, f.clip.layout) for f in (before, after)), strict=True
     ):
         step = after.rect.height // a.shape[0]
         width = after.rect.width // step

@@ -116,12 +116,7 @@ def test_reading_from_a_time_is_reading_from_the_start(name: str) -> None:
         everything = list(r.frames())
     for k in {len(everything) // 3, len(everything) // 2, len(everything) - 1}:
         with ClipReader(info) as r:
-            part = list(
-                r.frames(
-                    first_pts=everything[k].pts,
-                    last_pts=everything[min(k + 4, len(everything) - 1)].pts,
-                )
-            )
+            part = list(itertools.islice(r.frames(everything[k].pts), 5))
         with ClipReader(info) as r:
             assert (
                 len(list(r.frames(first_pts=everything[k].pts)))
@@ -158,8 +153,8 @@ def test_written_and_joined(name: str, tmp_path: Path) -> None:
     out = probe(plan.path)
     with ClipReader(out) as r:
         got = list(r.frames())
-    assert [f.pts * f.format.time_base for f in got] == [
-        f.pts * f.format.time_base for f in frames
+    assert [f.pts * f.clip.time_base for f in got] == [
+        f.pts * f.clip.time_base for f in frames
     ]
     assert (out.rotation_deg, out.bit_depth, out.full_range, out.matrix) == (
         info.rotation_deg,

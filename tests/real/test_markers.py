@@ -40,7 +40,7 @@ def frames(path: Path) -> Iterator[tuple[int, float, np.ndarray]]:
                 f.index,
                 f.time_s,
                 f.luma()
-                if f.format.full_range
+                if f.clip.full_range
                 else f.picture.to_ndarray(format="gray"),
             )
 

@@ -77,13 +77,9 @@ class LightReader:
 
 def darkest(picture: Picture) -> ndarray:
     """(3,) linear light of a picture's darkest hundredth, channel by channel."""
-    rect = picture.rect
-    apart = max(1, rect.width // DARK_ACROSS)
-    x, y = np.meshgrid(
-        np.arange(rect.x0, rect.x1, apart), np.arange(rect.y0, rect.y1, apart)
-    )
-    pixels = np.stack([x.ravel(), y.ravel()], -1).astype(np.int32)
-    return np.percentile(picture.linear_at(pixels), 1, axis=0).astype(float)
+    apart = max(1, picture.rect.width // DARK_ACROSS)
+    pixels = picture.linear(picture.rect)[::apart, ::apart]
+    return np.percentile(pixels, 1, axis=(0, 1)).astype(float)
 
 
 class SnapshotTaker:

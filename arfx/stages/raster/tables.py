@@ -12,8 +12,7 @@ from arfx.stages.raster.textures import texture_stack
 # Columns of the materials' numbers, one row a part. Each begins a run of those of its name.
 BASE, METALLIC, EMISSION, COAT_FACTORS, SHEEN_FACTORS = 0, 4, 7, 10, 12
 CUTOFF, NORMAL_SCALE, OCCLUSION_STRENGTH = 16, 17, 18
-# Columns of the textures' numbers: the slots that are drawn, then what follows them.
-SLOTS = tuple(name for name in TEXTURE_SLOTS if name != "clearcoat_normal_texture")
+# Columns of the textures' numbers: the slots, then what follows them.
 (
     BASE_SLOT,
     METAL_SLOT,
@@ -26,7 +25,7 @@ SLOTS = tuple(name for name in TEXTURE_SLOTS if name != "clearcoat_normal_textur
     SHEEN_ROUGHNESS_SLOT,
     MODE,
     TWO_SIDED,
-) = range(len(SLOTS) + 2)
+) = range(len(TEXTURE_SLOTS) + 2)
 _MODES = {OPAQUE: 0, MASK: 1, BLEND: 2}
 CUT_OUT = _MODES[MASK]
 
@@ -60,12 +59,12 @@ def surface_tables(mesh: SceneMesh) -> SurfaceTables:
     uses: list[tuple[Texture, bool]] = []
     count = len(mesh.materials)
     ints = np.full((count, TWO_SIDED + 1), -1, np.int32)
-    uv_first = np.zeros((count, len(SLOTS)), np.int32)
-    laid = np.tile(np.eye(2, 3, dtype=np.float32), (count, len(SLOTS), 1, 1))
+    uv_first = np.zeros((count, len(TEXTURE_SLOTS)), np.int32)
+    laid = np.tile(np.eye(2, 3, dtype=np.float32), (count, len(TEXTURE_SLOTS), 1, 1))
     for part, material in enumerate(mesh.materials):
         ints[part, MODE] = _MODES[material.alpha_mode]
         ints[part, TWO_SIDED] = material.double_sided
-        for slot, name in enumerate(SLOTS):
+        for slot, name in enumerate(TEXTURE_SLOTS):
             texture = material.textures.get(name)
             if texture is not None and mesh.has_uv[part, texture.uv_set]:
                 ints[part, slot] = len(uses)

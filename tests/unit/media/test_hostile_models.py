@@ -89,7 +89,7 @@ def test_a_buffer_outside_the_models_folder_is_refused(
         header(buffers=[{"uri": name.format(root=tmp_path), "byteLength": 36}]),
     )
     (tmp_path / "m" / "link.bin").symlink_to(tmp_path / "secret.bin")
-    with pytest.raises(InputError, match="outside its folder"):
+    with pytest.raises(InputError, match="not in its folder"):
         load_model(path)
 
 
@@ -106,7 +106,7 @@ def test_a_buffer_outside_the_models_folder_is_refused(
     ],
 )
 def test_an_address_is_no_file_of_the_folder(tmp_path: Path, name: str) -> None:
-    with pytest.raises(InputError, match=r"not in its folder|outside its folder"):
+    with pytest.raises(InputError, match="not in its folder"):
         load_model(
             gltf(tmp_path / "m", header(buffers=[{"uri": name, "byteLength": 36}]))
         )
@@ -127,7 +127,7 @@ def test_a_name_outside_the_models_folder_is_not_even_looked_up(
         header(buffers=[{"uri": "//host/share/x.bin", "byteLength": 36}]),
     )
     monkeypatch.setattr(Path, "exists", exists)
-    with pytest.raises(InputError, match="outside its folder"):
+    with pytest.raises(InputError, match="not in its folder"):
         load_model(path)
     assert looked == [tmp_path / "m" / "x.bin"]
 
@@ -145,7 +145,10 @@ def test_textures_that_are_missing_outside_or_no_pictures_are_told(
     tmp_path: Path,
 ) -> None:
     Image.new("RGB", (2, 2)).save(tmp_path / "out.png")
-    for name, why in (("../out.png", "outside"), ("none.png", "not in its folder")):
+    for name, why in (
+        ("../out.png", "not in its folder"),
+        ("none.png", "not in its folder"),
+    ):
         (notice,) = load_model(
             obj(tmp_path / "m", "a.mtl", f"newmtl m\nmap_Kd {name}\n")
         ).notices
@@ -357,7 +360,7 @@ def test_content_tells_the_format(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["a.zip", "a.tar.gz", "a.json", "a.3mf", "a.xyz", "a"]
+    "name", ["a.dae", "a.zip", "a.tar.gz", "a.json", "a.3mf", "a.xyz", "a"]
 )
 def test_archives_and_formats_without_faces_are_refused(
     tmp_path: Path, name: str
