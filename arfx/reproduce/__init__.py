@@ -1,11 +1,11 @@
 """`arfx reproduce`: every equation, printed number and figure of the four papers beside
 what the program gives.
 
-Each paper has a module with one function, `rows(work)`, which yields a `Row` for every
-equation, number (each cell of a table) and figure, and a `Figure` or `Plot` of the same
-item where the paper has one (`rows`). `work` makes the scenes and jobs that they are
-computed from (`work.Work`). To add an item: yield it, and record its verdict in
-tests/unit/reproduce/verdicts."""
+Each paper has a file of what it states (`rows`), and a module with one function,
+`rows(work)`, which yields a `Row` for every equation, number (each cell of a table) and
+figure, with pictures where the paper has some. `work` makes the scenes and jobs that they
+are computed from (`work.Work`). To add an item: state it, yield its row, and record its
+verdict in tests/unit/reproduce/verdicts."""
 
 from __future__ import annotations
 

@@ -19,10 +19,9 @@ from arfx.reproduce.rows import (
     CORRECTED,
     PRINTED,
     REFERENCE,
-    Figure,
     Items,
     eight_bit,
-    row,
+    rows_of,
 )
 from arfx.reproduce.s2_scene import (
     BALL_M,
@@ -34,17 +33,14 @@ from arfx.reproduce.s2_scene import (
     photograph,
     under,
 )
-from arfx.reproduce.work import Shot, Timed, Work, median_s
+from arfx.reproduce.work import Shot, Work, median_s
 from arfx.stages import STAGES
+
+row = rows_of("s2")
 
 GAUSSIAN = "Gaussian filter of figure 12"
 BRIGHTER = (
     8  # grey levels above the wall, from which a pixel belongs to a bright point
-)
-OPEN_LENS = "the tracer's own open lens"
-NO_CAMERA = (
-    "a photograph by the authors' camera; in its place stands one by an open lens, in which"
-    " both balls are real"
 )
 BALLS_M = {
     "real": ((-0.13, 0.08, 0.04), 0.04),
@@ -54,10 +50,6 @@ Pictures = dict[str, ndarray]
 
 
 PC_MB = 2048.0
-HERE = (
-    "another machine: here the method runs on the cores of a CPU and writes a file without"
-    " loss"
-)
 
 
 def rows(work: Work) -> Items:
@@ -71,11 +63,8 @@ def rows(work: Work) -> Items:
         REFERENCE: photograph(work),
     }
     yield from _diagrams()
-    for item, words in (
-        ("figure 4", "photographs with depth of field"),
-        ("figure 16", "a photograph"),
-    ):
-        yield row(item, words, (OPEN_LENS, OPEN_LENS), "", NO_CAMERA)
+    for item in ("figure 4", "figure 16"):
+        yield row(item, ["the tracer's own open lens"] * 2)
     camera_m = np.array(scene.shot[0].path.position_m)
     yield from _coordinates(shot, made[BEFORE], camera_m)
     yield from _steps(shot, made)
@@ -89,22 +78,8 @@ def _diagrams() -> Items:
     order = ", ".join(
         name for name in STAGES if name in ("raster", "composite", "dof")
     )
-    yield row(
-        "figure 1",
-        "capture, virtual scene, interaction, communication, display",
-        ("clip, analysis, " + order, "clip, analysis, " + order),
-        "",
-        "input devices, communication and display are no part of a program that processes"
-        " recorded clips",
-    )
-    yield row(
-        "figure 2",
-        "virtual objects, composition, depth of field",
-        (order, order),
-        "",
-        "",
-        order.endswith("composite, dof"),
-    )
+    yield row("figure 1", [f"clip, analysis, {order}"] * 2)
+    yield row("figure 2", (order, order), order.endswith("composite, dof"))
 
 
 def _coordinates(shot: Shot, picture: ndarray, camera_m: ndarray) -> Items:
@@ -119,17 +94,8 @@ def _coordinates(shot: Shot, picture: ndarray, camera_m: ndarray) -> Items:
         cv2.line(drawn, points[0], end, colour, 2, cv2.LINE_AA)
     off_mm = 1e3 * np.linalg.norm(pose.inverse().translation_m - camera_m)
     found = f"axes from a marker; the camera is {off_mm:.1f} mm off"
-    yield row(
-        "figure 5",
-        "axes from feature points",
-        (found, found),
-        "",
-        "found from a marker, whose size makes it metric; which feature points the authors"
-        " tracked is not stated",
-    )
-    yield Figure(
-        "figure 5", "axes of the world", {"x red, y green, z blue; 8 cm each": drawn}
-    )
+    pictures = {"x red, y green, z blue; 8 cm each": drawn}
+    yield row("figure 5", (found, found), None, pictures)
 
 
 def _steps(shot: Shot, made: Pictures) -> Items:
@@ -144,52 +110,32 @@ def _steps(shot: Shot, made: Pictures) -> Items:
     )
     coded = SRGB.encode(now[Layer.IMAGE]).astype(np.float32)
     blurred = eight_bit(stage.blurred(coded, dioptre))
-    yield row(
-        "figure 6",
-        "depth with blur factor; luminance",
-        f"depth {1 / dioptre.max():.2f}-{1 / dioptre.min():.2f} m, blur factor"
-        f" {a.min():.2f}-{a.max():.2f}, luminance",
-        "",
-        "",
-        bool(0 <= a.min() <= a.max() <= 1),
-    )
     textures = {
         "depth, nearer is brighter": dioptre / dioptre.max(),
         "blur factor a": a,
         "luminance": coded @ yuv_from_rgb("bt601")[0],
         "figure 10, blurred all over": blurred,
     }
-    yield Figure("figure 6", "what the printed method makes on its way", textures)
     yield row(
-        "figure 9",
-        "the scene before",
-        ("a scene of the project", "the same"),
-        "",
-        "",
-        True,
+        "figure 6",
+        f"depth {1 / dioptre.max():.2f}-{1 / dioptre.min():.2f} m, blur factor"
+        f" {a.min():.2f}-{a.max():.2f}, luminance",
+        bool(0 <= a.min() <= a.max() <= 1),
+        textures,
     )
+    yield row("figure 9", ("a scene of the project", "the same"), True)
     apart = _levels(blurred, made[BEFORE])
-    yield row(
-        "figure 10",
-        "blurred all over",
-        f"{apart:.1f} grey levels from figure 9",
-        "",
-        "nothing was blurred",
-        apart > 0.5,
-    )
+    yield row("figure 10", f"{apart:.1f} grey levels from figure 9", apart > 0.5)
     sharp, printed, corrected = (
         _levels(made[name], made[REFERENCE]) for name in (BEFORE, PRINTED, CORRECTED)
     )
     yield row(
         "figure 11",
-        "like a camera",
         [f"{x:.1f} grey levels from the photograph" for x in (printed, corrected)],
-        "",
-        f"without blur it is {sharp:.1f} away. The printed filter has one size, here 7 px,"
-        " and its blend keeps the sharp picture below the blurred one; the open lens makes"
-        " discs that grow with the distance",
+        None,
+        made,
+        sharp=sharp,
     )
-    yield Figure("figure 11", "sharp and blurred picture blended by (9)", made)
 
 
 def _points(shot: Shot, made: Pictures, points_m: ndarray) -> Items:
@@ -202,29 +148,23 @@ def _points(shot: Shot, made: Pictures, points_m: ndarray) -> Items:
     apart = _levels(gaussian, made[REFERENCE])
     yield row(
         "figure 12",
-        "Gaussian filter",
         f"{words[GAUSSIAN]}, {apart:.1f} grey levels from the photograph",
-        "",
-        "nothing was spread",
         area[GAUSSIAN] > area[BEFORE],
-    )
-    yield row(
-        "figure 13",
-        "bright points spread more than in figure 12",
-        (
-            f"{words[PRINTED]}, Gaussian {area[GAUSSIAN]:.0f} px",
-            f"{words[CORRECTED]}, photograph {area[REFERENCE]:.0f} px",
-        ),
-        "",
-        "they do not spread more",
-        min(area[PRINTED], area[CORRECTED]) > area[GAUSSIAN],
     )
     pad = 0.06 * made[BEFORE].shape[1]
     low = np.maximum(at.min(0) - pad, 0).astype(int)
     high = (at.max(0) + pad).astype(int)
     part = np.s_[low[1] : high[1], low[0] : high[0]]
     near = {name: p[part].repeat(2, 0).repeat(2, 1) for name, p in made.items()}
-    yield Figure("figure 13", "the bright points, twice as large", near)
+    yield row(
+        "figure 13",
+        (
+            f"{words[PRINTED]}, Gaussian {area[GAUSSIAN]:.0f} px",
+            f"{words[CORRECTED]}, photograph {area[REFERENCE]:.0f} px",
+        ),
+        min(area[PRINTED], area[CORRECTED]) > area[GAUSSIAN],
+        near,
+    )
 
 
 def _in_focus(shot: Shot, before: ndarray) -> Items:
@@ -233,17 +173,8 @@ def _in_focus(shot: Shot, before: ndarray) -> Items:
         CORRECTED: under(shot, CORRECTED, aperture_px=0.4).picture(),
     }
     changed = [(picture != before).mean() for picture in closed.values()]
-    yield row(
-        "figure 14",
-        "all in focus, nothing blurred",
-        [f"{100 * c:.0f} % of the pixels blurred" for c in changed],
-        "",
-        "some pixels changed",
-        not any(changed),
-    )
-    yield Figure(
-        "figure 14", "a real and a virtual (blue) ball, all in focus", closed
-    )
+    found = [f"{100 * c:.0f} % of the pixels blurred" for c in changed]
+    yield row("figure 14", found, not any(changed), closed)
 
 
 def _out_of_focus(shot: Shot, made: Pictures) -> Items:
@@ -259,12 +190,8 @@ def _out_of_focus(shot: Shot, made: Pictures) -> Items:
         words[name] = ", ".join(kept)
     yield row(
         "figure 15",
-        "both balls blurred alike",
         [f"outline keeps: {words[name]}" for name in (PRINTED, CORRECTED)],
-        "",
-        f"of its steepness a ball's outline keeps in the photograph: {words[REFERENCE]}."
-        " As printed outlines stay, since what stands in front does not flow into what is"
-        " behind, and the sharp picture shows through the blend",
+        photographed=words[REFERENCE],
     )
 
 
@@ -312,57 +239,29 @@ def rates(work: Work) -> Items:
     )
     size = f"{clip.scene.clip.width}*{clip.scene.clip.height}"
     here = f"{platform.machine()}, {usable_cores()} cores"
-    yield row(
-        "section 4, machine",
-        "Intel Core Duo 2.80 GHz, 2 GB, GeForce 9600 GT",
-        (here, here),
-        "",
-        "another machine, without a graphics processor",
-    )
+    yield row("section 4, machine", (here, here))
     pairs = zip(own, room, strict=True)
     peaks_mb = [max(one.peak_mb for one in pair) for pair in pairs]
     yield row(
         "section 4, memory of the machine",
-        "2 GB",
         [f"at most {mb:.0f} MB used" for mb in peaks_mb],
-        "",
-        "the process with all its libraries needs more than the authors' machine had",
         max(peaks_mb) <= PC_MB,
     )
-    yield row(
-        "section 4, resolution",
-        "1280*1024",
-        (size, size),
-        "",
-        "the short form is smaller",
-    )
+    yield row("section 4, resolution", (size, size))
     augmented = [timed.frames_per_s for timed in own]
     # nothing is filmed and nothing is tracked: the stages alone
     virtual = [1 / sum(timed.stage_s.values()) for timed in room]
-    alone = f"The stages alone, all is a model; {_of_dof(room)}"
-    whole = f"With decoding, tracking and encoding; {_of_dof(own)}"
-    for item, printed, rates, why in (
-        ("section 4, all-virtual scene", 48.0, virtual, alone),
-        ("section 4, augmented reality, GPU", 21.0, augmented, whole),
-        ("section 4, augmented reality, CPU", 14.0, augmented, whole),
-        ("section 5, rate that is needed", 25.0, augmented, whole),
+    alone = "The stages alone, all is a model", virtual, room
+    whole = "With decoding, tracking and encoding", augmented, own
+    for item, least, (counted, rates, timed) in (
+        ("section 4, all-virtual scene", 48, alone),
+        ("section 4, augmented reality, GPU", 21, whole),
+        ("section 4, augmented reality, CPU", 14, whole),
+        ("section 5, rate that is needed", 25, whole),
     ):
-        holds = min(rates) >= printed
-        yield row(item, printed, rates, "fps", f"{HERE}. {why}", holds)
+        dof_ms = [1e3 * one.stage_s["dof"] for one in timed]
+        fast = min(rates) >= least
+        yield row(item, rates, fast, counted=counted, dof_ms=dof_ms)
     decoding = clip.scene.frames / median_s(clip.frames, work.scaled(3, 1))
-    for how, printed in (("DirectShow", 16.0), ("the board's own software", 25.0)):
-        yield row(
-            f"section 4, capture by {how}",
-            printed,
-            None,
-            "fps",
-            f"there is no camera: a clip of this size is decoded at {decoding:.0f} fps here",
-        )
-
-
-def _of_dof(timed: list[Timed]) -> str:
-    printed, corrected = (1e3 * one.stage_s["dof"] for one in timed)
-    return (
-        f"depth of field takes {printed:.0f} ms of a frame as printed, {corrected:.0f} ms"
-        " corrected"
-    )
+    for how in ("DirectShow", "the board's own software"):
+        yield row(f"section 4, capture by {how}", None, decoding=decoding)

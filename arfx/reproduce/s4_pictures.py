@@ -21,15 +21,17 @@ from arfx.reproduce.rows import (
     BEFORE,
     CORRECTED,
     REFERENCE,
-    Figure,
     Items,
+    Row,
     errors,
-    row,
+    rows_of,
 )
 from arfx.reproduce.s4_scenes import LAMP, flat_scene, methods, room
 from arfx.reproduce.work import Clip, Settings, Shot, Work
 from arfx.synth.rays import Rays, radiance
 from arfx.synth.world import World
+
+row = rows_of("s4")
 
 FOOTPRINT_RAD = 0.03  # of a ray: about what a pixel of the ball mirrors
 REFLECTED = 0.95  # of the ball's material
@@ -40,39 +42,23 @@ def pictures(work: Work) -> Items:
     red = work.scaled("red-teapot", "red-cube")
     mirror = work.scaled("mirror", "cube")
     matte = {"plane_gloss": 0.0}
-    for item, title, model, fit, gi, why in (
+    for item, model, fit, gi in (
         (
             "step 4, indirect light of an object and the plane under it",
-            "a red teapot on a desk",
             red,
             "13cm",
             matte,
-            "only lamps are in the printed volumes, so that nothing darkens the plane around"
-            " the object; voxels leak and blur",
         ),
-        (
-            "step 4, the surroundings in a shiny object",
-            "a mirror ball",
-            mirror,
-            "9cm",
-            matte,
-            "one picture does not show what is above it and behind the camera: both guess it"
-            " from the same picture",
-        ),
+        ("step 4, the surroundings in a shiny object", mirror, "9cm", matte),
         (
             "step 4, the object in a shiny real plane",
-            "a varnished desk",
             red,
             "13cm",
             {"plane_gloss": 0.25},
-            "as above; the printed mirror cone meets the volumes' voxels, and again lamps'"
-            " light alone",
         ),
     ):
         settings = methods(work, model, fit, LAMP, **gi)
-        yield from beside_reference(
-            work, item, title, settings, model == "mirror", why
-        )
+        yield beside_reference(work, item, settings, model == "mirror")
 
 
 def on_the_plane(work: Work) -> Items:
@@ -92,22 +78,13 @@ def on_the_plane(work: Work) -> Items:
     printed, corrected = (change @ [1, -1, 0] for change in red)
     yield row(
         "step 2, delta volume: red that a red cube gives the plane",
-        "V_Δ = V_ρ - V_μ",
         (-printed, corrected),
-        "red less green, linear light",
-        "with ρ the real scene alone the difference is that without the object less that"
-        " with it: added as printed, it takes red from the plane; the printed method here"
-        " subtracts it",
         printed < 0,
     )
     printed, corrected = (change.mean() for change in black)
     yield row(
         "step 2, delta volume: what a black cube takes from the plane",
-        "the object's shadow is in V_Δ",
         (printed, corrected),
-        "linear light",
-        "points of one plane send each other no light, so V_Δ holds little that a black"
-        " object could take away; corrected: what it hides of the surroundings",
         printed < corrected / 2,
     )
 
@@ -128,13 +105,8 @@ def ring(coverage: ndarray) -> ndarray:
 
 
 def beside_reference(
-    work: Work,
-    item: str,
-    title: str,
-    settings: dict[str, Any],
-    mirror: bool,
-    reason: str,
-) -> Items:
+    work: Work, item: str, settings: dict[str, Any], mirror: bool
+) -> Row:
     """One frame by both methods and by traced rays; the mean error where the effect touches
     the picture.
     """
@@ -150,15 +122,8 @@ def beside_reference(
     if mirror:
         made[REFERENCE] = mirrored_room(clip, best, made[REFERENCE])
     before = best.renderer.original()
-    yield row(
-        item,
-        title,
-        errors(made, before, TOUCHED),
-        "grey levels from traced rays, mean where anything changes",
-        reason,
-        below=1,
-    )
-    yield Figure(item, title, {BEFORE: before, **made})
+    off = errors(made, before, TOUCHED)
+    return row(item, off, None, {BEFORE: before, **made})
 
 
 def mirrored_room(clip: Clip, shot: Shot, picture: ndarray) -> ndarray:
