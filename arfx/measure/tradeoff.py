@@ -13,26 +13,23 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy import ndarray
 
 from arfx.core.cost import sum_independent
-from arfx.core.layers import Layer
 from arfx.core.numerics import divide
 from arfx.core.stage import Stage, level_named
 from arfx.core.waiting import Progress
 from arfx.errors import NothingToDoError
-from arfx.measure.difference import Difference, difference, mean_flicker, touched
+from arfx.measure.difference import difference, mean_flicker, touched
 from arfx.measure.steps import FrameRenderer, open_frames, window_of
 from arfx.measure.tradeoff_frames import Sample, pick_frames
 from arfx.measure.tradeoff_pipelines import LEFT_OUT, QUALITIES, Row
 from arfx.measure.tradeoff_time import Times, fast, planned
 from arfx.plan.planner import new_terms
-from arfx.run.parameters import stages_of, under_other_formula
+from arfx.run.parameters import stages_of
 from arfx.run.planned import Job
 from arfx.stages import ALWAYS
 
@@ -42,7 +39,6 @@ PIPELINE = "pipeline"  # the name of rows that are no effect's
 MOST_PX = 600_000
 
 Levels = Mapping[str, str]  # by stage; one that is left out has none
-OWN: Mapping[str, Stage] = MappingProxyType({})
 
 
 @dataclass
@@ -55,7 +51,6 @@ class Measurements:
     effects: list[Row]
     pipelines: list[Row]
     windows: dict[int, Any]
-    locations: dict[tuple[str, str], str] = field(default_factory=dict)
     prepare_s: dict[tuple[str, str], float] = field(default_factory=dict)
 
 
@@ -81,15 +76,13 @@ class _Work:
     def sampled(self) -> list[FrameRenderer]:
         return [self.frames[i] for i in self.samples]
 
-    def stages(
-        self, names: Collection[str], other: Mapping[str, Stage] = OWN
-    ) -> Mapping[str, Stage]:
+    def stages(self, names: Collection[str]) -> Mapping[str, Stage]:
         """Those of the job, or, where others of it are left out, those of a job without
-        them: they may have other settings then. other : some in place of these
+        them: they may have other settings then.
         """
         own, key = self.job.stages, frozenset(names)
         if self.usual.keys() <= key:
-            return {**own, **other}
+            return own
         if key not in self.left:
             left = stages_of(
                 self.job.inputs.config.params, [n for n in own if n in key]
@@ -98,17 +91,15 @@ class _Work:
                 n: own[n] if repr(vars(stage)) == repr(vars(own[n])) else stage
                 for n, stage in left.items()
             }
-        return {**self.left[key], **other}
+        return self.left[key]
 
-    def image(
-        self, frame: FrameRenderer, levels: Levels, other: Mapping[str, Stage] = OWN
-    ) -> ndarray:
-        return frame.image(frame.chain(levels, self.stages(levels, other)))
+    def image(self, frame: FrameRenderer, levels: Levels) -> ndarray:
+        return frame.image(frame.chain(levels, self.stages(levels)))
 
     def time(self, row: Row) -> None:
         """Note what a frame takes: the effect's step, or all of a pipeline. Each step is
         timed upon what those before it make at their usual level."""
-        stages = self.stages(row.levels, row.other)
+        stages = self.stages(row.levels)
         names = list(row.levels)
         usual = [
             fast(stages[n], level_named(stages[n].levels, self.usual[n]))
@@ -152,14 +143,11 @@ def measure(
     first, names = samples[0].index, steps[samples[0].index]
     flickers = only is None and steps.get(first + 1) == names
     work = _opened(job, [s.index for s in samples], names, flickers)
-    wanted = [n for n in work.usual if only is None or n in only]
-    other = {
-        n: stage
-        for n in wanted
-        if only is None
-        and (stage := under_other_formula(n, job.stages[n].params)) is not None
-    }
-    effects = [n for n in wanted if len(job.stages[n].levels) > 1 or n in other]
+    effects = [
+        n
+        for n in work.usual
+        if len(job.stages[n].levels) > 1 and (only is None or n in only)
+    ]
     compared = [*[PIPELINE] * (only is None), *effects]
     _choose_windows(work, [*map(work.reference, compared)], window_px)
     found = Measurements(
@@ -168,15 +156,10 @@ def measure(
     total = len(effects) + 2
     for k, name in enumerate(effects):
         progress("effects", k, total)
-        found.effects += _of_stage(work, name, found)
+        found.effects += _of_stage(work, name)
     if only is None:
         progress("pipelines", len(effects), total)
         found.pipelines = _pipelines(work)
-    if other:
-        found.effects += [
-            _of_other_formula(work, n, {n: s}) for n, s in other.items()
-        ]
-        found.pipelines.append(_of_other_formula(work, PIPELINE, other))
     found.prepare_s = work.sampled[0].prepared.prepare_s
     progress("pipelines", total, total)
     return found
@@ -236,11 +219,11 @@ def _choose_windows(
         frames[i] = replace(frames[i], window=window)
 
 
-def _of_stage(work: _Work, name: str, found: Measurements) -> list[Row]:
+def _of_stage(work: _Work, name: str) -> list[Row]:
     """A row for each level, the reference's too, against the reference with all other
     stages at their usual level; the first tells what leaving out the effect would change,
     where a job can do without."""
-    stage, usual, best = work.job.stages[name], work.usual, work.reference(name)
+    stage, usual = work.job.stages[name], work.usual
     formula = getattr(stage.params, "formula", "")
     rows = [
         Row(name, level, formula, levels={**usual, name: level})
@@ -253,14 +236,6 @@ def _of_stage(work: _Work, name: str, found: Measurements) -> list[Row]:
     _compare(work, rows)
     for row in levels:
         work.time(row)
-    for i in rows[-1].by_frame:
-        worst = max(levels[:-1], key=lambda r: r.by_frame[i].p99, default=None)
-        if worst is not None:
-            frame = work.frames[i]
-            chain = frame.chain(best, work.stages(best))
-            coverage = frame.layer(chain, Layer.COVERAGE)
-            location = _location(worst.by_frame[i], coverage)
-            found.locations.setdefault((name, worst.level), location)
     _measure_flicker(work, levels)
     return rows
 
@@ -278,7 +253,7 @@ def _compare(work: _Work, rows: Sequence[Row]) -> None:
             left = {n: at for n, at in work.usual.items() if n != name}
             without = work.image(frame, left)
         for r in rows:
-            r.pictures[i] = work.image(frame, r.levels, r.other)
+            r.pictures[i] = work.image(frame, r.levels)
         where = touched(
             (reference, without), *((reference, r.pictures[i]) for r in rows)
         )
@@ -302,28 +277,6 @@ def _measure_flicker(work: _Work, rows: Sequence[Row]) -> None:
     ]
     for r, value in zip(rows, values, strict=True):
         r.flicker = (value, values[-1])
-
-
-def _location(d: Difference, coverage: ndarray) -> str:
-    """Where a difference is largest, in words."""
-    x, y = d.worst_px
-    edge = np.asarray((coverage > 0.02) & (coverage < 0.98)).astype(np.uint8)
-    if cv2.dilate(edge, np.ones((5, 5), np.uint8))[y, x]:
-        return "at the silhouette"
-    return "on the object" if coverage[y, x] > 0.5 else "beside the object"
-
-
-def _of_other_formula(work: _Work, name: str, other: Mapping[str, Stage]) -> Row:
-    """An effect, or the whole pipeline, under the other formula, at usual levels or the nearest
-    that its stages have, against the job's own reference.
-    """
-    stages = {**work.job.stages, **other}
-    levels = {n: level_named(stages[n].levels, at) for n, at in work.usual.items()}
-    formula = next(iter(other.values())).params.formula
-    row = Row(name, levels.get(name, "usual"), formula, levels=levels, other=other)
-    _compare(work, [row])
-    work.time(row)
-    return row
 
 
 def _pipelines(work: _Work) -> list[Row]:

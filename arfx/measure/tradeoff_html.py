@@ -5,7 +5,6 @@ Tables, plots, pictures side by side with their error maps times eight.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,6 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 from numpy import ndarray
 
-from arfx.core.cost import Prediction
 from arfx.errors import RenderError
 from arfx.measure.difference import delta_e
 from arfx.measure.plots import INK, PREDICTED, png, styled
@@ -96,25 +94,22 @@ FLOOR = 0.02  # grey levels: what is drawn for none
 @styled
 def error_plot(rows: Sequence[Row], title: str) -> bytes:
     """Mean and 99th percentile over the time; those means that no other beats are joined by
-    a line, and the other formula's are diamonds."""
+    a line."""
     fig = Figure((7.2, 3.9))
     axis = fig.subplots()
-    own = [r for r in rows if r.level != LEFT_OUT and not r.other]
-    other = [r for r in rows if r.other]
+    own = [r for r in rows if r.level != LEFT_OUT]
     for some, worst, style, colour, label in (
         (own, True, "o", RAW, "99th percentile, worst frame"),
         (own, False, "o", SMOOTH, "mean"),
         (front(own), False, "-", SMOOTH, "Pareto front"),
-        (other, False, "D", SMOOTH, None),
     ):
         points = [_point(r, worst) for r in some]
         axis.plot(
             *np.reshape(points, (-1, 2)).T, style, color=colour, ms=5, label=label
         )
-    for r in [*own, *other]:
-        name = f"{r.formula} {r.level}" if r.other else r.level
+    for r in own:
         axis.annotate(
-            name,
+            r.level,
             _point(r),
             (4, -11),
             textcoords="offset points",
@@ -144,7 +139,7 @@ def document(found: Measurements, job: Job, seconds: float) -> dict[str, Any]:
     """seconds : what the measuring took. `errors` is what `--tradeoff` reads (plan/errors.py)."""
     errors: dict[str, dict[str, float]] = {}
     for r in found.effects:
-        if r.level != LEFT_OUT and not r.other:
+        if r.level != LEFT_OUT:
             errors.setdefault(r.name, {})[r.level] = r.worst("mean")
     times = {f.index: f.time_s for f in job.facts}
     frames = [
@@ -165,7 +160,6 @@ def document(found: Measurements, job: Job, seconds: float) -> dict[str, Any]:
 
 
 def _row(r: Row, found: Measurements) -> dict[str, Any]:
-    own = [p for p in found.pipelines if not p.other]
     return {
         "name": r.name,
         "level": r.level,
@@ -175,7 +169,7 @@ def _row(r: Row, found: Measurements) -> dict[str, Any]:
             if r.name == "pipeline"
             else None
         ),
-        "beaten": r in own and r not in front(own),
+        "beaten": r in found.pipelines and r not in front(found.pipelines),
         "seconds_per_frame": r.seconds,
         "between_s": [r.time.low_s, r.time.high_s],
         "predicted": r.predicted,
@@ -212,42 +206,19 @@ def recommendation(found: Measurements) -> str:
     good = next((r for r in others if not visible(r)), None)
     chosen = good or min(others, key=lambda r: r.average("mean"), default=None)
     lower = QUALITIES[: QUALITIES.index(chosen.level)] if chosen else ()
-    effects = [r for r in found.effects if not r.other]
-    worse = [r for r in effects if r.level in lower and visible(r)]
+    worse = [r for r in found.effects if r.level in lower and visible(r)]
     shows = max(worse, key=lambda r: r.worst("p99"), default=None)
-    own = [r for r in effects if chosen and chosen.levels.get(r.name) == r.level]
+    own = [
+        r for r in found.effects if chosen and chosen.levels.get(r.name) == r.level
+    ]
     return render(
         "measure/tradeoff_advice.jinja",
         reference=reference,
         chosen=chosen,
         good=good,
-        share=_share(chosen.time, reference.time) if chosen and reference else "",
         shows=shows,
-        place=found.locations.get((shows.name, shows.level), "") if shows else "",
         most=max(own, key=lambda r: r.average("mean"), default=None),
         window=min(found.windows.values(), key=lambda w: w.area, default=None),
         seen=SEEN_MEAN,
         few=FEW_PX,
     ).strip()
-
-
-def _share(part: Prediction, whole: Prediction) -> str:
-    """ "1/40", with where it lies nine times in ten if the ends differ in two figures."""
-    if part.seconds <= 0 or whole.seconds <= 0:
-        return "a part"
-    ratio = whole.seconds / part.seconds
-    if ratio < 1.5:
-        return f"{100 / ratio:.0f} %"
-    # parts of one machine that is slower or faster are so alike: what is left is each one's
-    # own error
-    apart = math.hypot(
-        math.log(part.high_s / part.seconds), math.log(whole.high_s / whole.seconds)
-    )
-    low, high = _two(ratio * math.exp(-apart)), _two(ratio * math.exp(apart))
-    return f"1/{_two(ratio)}" + ("" if low == high else f" (1/{low} to 1/{high})")
-
-
-def _two(value: float) -> str:
-    """Two figures."""
-    digits = max(math.floor(math.log10(value)) - 1, 0)
-    return f"{round(value / 10**digits) * 10**digits:.0f}"

@@ -11,7 +11,6 @@ import numpy as np
 from numpy import ndarray
 
 from arfx.core.cost import Prediction, measured
-from arfx.core.stage import Stage
 from arfx.measure.difference import Difference
 
 QUALITIES = ("draft", "standard", "high", "reference")
@@ -23,8 +22,7 @@ class Row:
     """One level of one effect, or one whole pipeline. time : per frame;  by_frame : what
     was found in each;  predicted : the time of one of its steps was not measured
 
-    formula : which the stage ran under;  other : stages under the formula that the job does
-    not use, in place of its own;  flicker : of this and of the reference, grey
+    formula : which the stage ran under;  flicker : of this and of the reference, grey
     levels from a frame to the next"""
 
     name: str
@@ -36,7 +34,6 @@ class Row:
     flicker: tuple[float, float] | None = None
     pictures: dict[int, ndarray] = field(default_factory=dict)
     levels: Mapping[str, str] = field(default_factory=dict)
-    other: Mapping[str, Stage] = field(default_factory=dict)
 
     @property
     def seconds(self) -> float:
