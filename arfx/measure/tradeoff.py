@@ -58,23 +58,21 @@ class Measurements:
 class _Work:
     """What the rows are made from.
 
-    frames : by number, in the window of their pictures;  following : the one of them after
-    the first sample, of which flicker alone is measured
-    usual : levels of the job's quality;  best : all at reference
+    frames : the samples, by number, in the window of their pictures;  following : the frame
+    after the first of them, of which flicker alone is measured
+    usual : levels of the job's quality
     """
 
     job: Job
-    samples: Sequence[int]
     frames: dict[int, FrameRenderer]
-    following: int | None
+    following: FrameRenderer | None
     usual: Levels
-    best: Levels
     times: Times
     left: dict[frozenset[str], dict[str, Stage]] = field(default_factory=dict)
 
     @property
-    def sampled(self) -> list[FrameRenderer]:
-        return [self.frames[i] for i in self.samples]
+    def first(self) -> FrameRenderer:
+        return next(iter(self.frames.values()))
 
     def stages(self, names: Collection[str]) -> Mapping[str, Stage]:
         """Those of the job, or, where others of it are left out, those of a job without
@@ -113,12 +111,6 @@ class _Work:
         row.time = sum_independent(map(self.times.of, chains))
         row.predicted = any(map(self.times.is_slow, chains))
 
-    def reference(self, name: str) -> Levels:
-        """Of an effect, with all others at their usual level, or of pipelines."""
-        if name == PIPELINE:
-            return self.best
-        return {**self.usual, name: self.best[name]}
-
 
 def measure(
     job: Job,
@@ -141,46 +133,41 @@ def measure(
             "see `arfx plan`",
         )
     first, names = samples[0].index, steps[samples[0].index]
+    quality, stages = job.inputs.config.pipeline.quality, job.stages
     flickers = only is None and steps.get(first + 1) == names
-    work = _opened(job, [s.index for s in samples], names, flickers)
-    effects = [
-        n
-        for n in work.usual
-        if len(job.stages[n].levels) > 1 and (only is None or n in only)
-    ]
-    compared = [*[PIPELINE] * (only is None), *effects]
-    _choose_windows(work, [*map(work.reference, compared)], window_px)
-    found = Measurements(
-        samples, [], [], {i: f.window for i, f in work.frames.items()}
-    )
-    total = len(effects) + 2
-    for k, name in enumerate(effects):
-        progress("effects", k, total)
-        found.effects += _of_stage(work, name)
-    if only is None:
-        progress("pipelines", len(effects), total)
-        found.pipelines = _pipelines(work)
-    found.prepare_s = work.sampled[0].prepared.prepare_s
-    progress("pipelines", total, total)
-    return found
-
-
-def _opened(
-    job: Job, samples: Sequence[int], names: Sequence[str], flickers: bool
-) -> _Work:
-    """names : stages of the samples;  flickers : with the frame after the first sample"""
-    following = samples[0] + 1 if flickers else None
-    stages, quality = job.stages, job.inputs.config.pipeline.quality
-    frames = open_frames(job, [*samples, *[samples[0] + 1] * flickers])
-    whole = [replace(frames[i]) for i in samples]
-    return _Work(
+    numbers = [s.index for s in samples]
+    opened = open_frames(job, [*numbers, *[first + 1] * flickers])
+    sampled = {i: opened[i] for i in numbers}
+    work = _Work(
         job,
-        samples,
-        frames,
-        following,
+        sampled,
+        opened[first + 1] if flickers else None,
         {n: level_named(stages[n].levels, quality) for n in names},
-        {n: stages[n].levels[-1] for n in names},
-        Times(whole, _new_light_fractions(job, names), job.prices),
+        Times([*sampled.values()], _new_light_fractions(job, names), job.prices),
+    )
+    tables = {
+        n: _levels_of(work, n)
+        for n in names
+        if len(stages[n].levels) > 1 and (only is None or n in only)
+    }
+    if only is None:
+        tables[PIPELINE] = _pipelines(work)
+    _choose_windows(work, [rows[-1].levels for rows in tables.values()], window_px)
+    for k, (name, rows) in enumerate(tables.items()):
+        progress("levels", k, len(tables))
+        _compare(work, rows)
+        for row in rows[1:]:
+            work.time(row)
+        if name != PIPELINE:
+            _measure_flicker(work, rows[1:])
+    progress("levels", len(tables), len(tables))
+    pipelines = tables.pop(PIPELINE, [])[1:]
+    return Measurements(
+        samples,
+        [r for n, rows in tables.items() for r in rows[n in ALWAYS :]],
+        sorted(pipelines, key=lambda r: r.seconds),
+        {i: frame.window for i, frame in work.frames.items()},
+        work.first.prepared.prepare_s,
     )
 
 
@@ -202,61 +189,52 @@ def _choose_windows(
     work: _Work, sets: Sequence[Levels], window_px: int | None
 ) -> None:
     """As `measure` says, and at most MOST_PX."""
-    frames, first, times = work.frames, work.sampled[0], work.times
+    first, times = work.first, work.times
     area = float(MOST_PX if window_px is None else window_px)
     if window_px is None:
         chains = [first.chain(levels, work.stages(levels)) for levels in sets]
         steps = {c[: k + 1] for c in chains for k in range(len(c))}
-        per_px = len(frames) * sum(
+        count = len(work.frames) + (work.following is not None)
+        per_px = count * sum(
             times.predicted(c).seconds / planned(first, c[-1][0]).area
             for c in filter(times.is_slow, steps)
         )
         least = float(divide(REFERENCE_S, per_px, where_zero=area))
         area = min(area, max(least, LEAST_PX))
-    for i in frames:
-        shown = frames[i - 1] if i == work.following else frames[i]
-        window = window_of(shown.plan, shown.facts, work.job.inputs.camera.rect, area)
-        frames[i] = replace(frames[i], window=window)
+    for i, frame in work.frames.items():
+        window = window_of(frame.plan, frame.facts, work.job.inputs.camera.rect, area)
+        work.frames[i] = replace(frame, window=window)
+    if work.following is not None:
+        work.following = replace(work.following, window=work.first.window)
 
 
-def _of_stage(work: _Work, name: str) -> list[Row]:
-    """A row for each level, the reference's too, against the reference with all other
-    stages at their usual level; the first tells what leaving out the effect would change,
-    where a job can do without."""
+def _levels_of(work: _Work, name: str) -> list[Row]:
+    """A job without the effect, and each of its levels, the reference last, with all other
+    stages at their usual level.
+    """
     stage, usual = work.job.stages[name], work.usual
     formula = getattr(stage.params, "formula", "")
-    rows = [
-        Row(name, level, formula, levels={**usual, name: level})
-        for level in stage.levels
-    ]
-    levels = list(rows)
     without = {n: level for n, level in usual.items() if n != name}
-    if name not in ALWAYS:
-        rows.insert(0, Row(name, LEFT_OUT, formula, levels=without))
-    _compare(work, rows)
-    for row in levels:
-        work.time(row)
-    _measure_flicker(work, levels)
-    return rows
+    return [
+        Row(name, LEFT_OUT, formula, levels=without),
+        *(
+            Row(name, level, formula, levels={**usual, name: level})
+            for level in stage.levels
+        ),
+    ]
 
 
 def _compare(work: _Work, rows: Sequence[Row]) -> None:
-    """Note the pictures of rows of one name, and how far they are from the reference's,
-    where it changes anything: what is there without the effect, or the frame as it was.
+    """Note the pictures of rows of one name, and how far they are from the reference's, the
+    last, where any is another.
     """
-    name = rows[0].name
-    for i, frame in zip(work.samples, work.sampled, strict=True):
-        if name not in {PIPELINE, *(s.stage for s in frame.plan.steps)}:
+    for i, frame in work.frames.items():
+        if rows[0].name not in {PIPELINE, *(s.stage for s in frame.plan.steps)}:
             continue
-        reference, without = work.image(frame, work.reference(name)), frame.original()
-        if name != PIPELINE:
-            left = {n: at for n, at in work.usual.items() if n != name}
-            without = work.image(frame, left)
         for r in rows:
             r.pictures[i] = work.image(frame, r.levels)
-        where = touched(
-            (reference, without), *((reference, r.pictures[i]) for r in rows)
-        )
+        reference = rows[-1].pictures[i]
+        where = touched(*((reference, r.pictures[i]) for r in rows))
         for r in rows:
             r.by_frame[i] = difference(reference, r.pictures[i], where)
 
@@ -265,11 +243,10 @@ def _measure_flicker(work: _Work, rows: Sequence[Row]) -> None:
     """How much each level changes from one frame to the next beyond the footage's own
     motion, beside its reference, the last.
     """
-    first = work.samples[0]
-    if work.following is None or first not in rows[0].pictures:
+    a, b = work.first, work.following
+    if b is None or a.facts.index not in rows[0].pictures:
         return
-    a, b = work.frames[first], work.frames[work.following]
-    where = touched((rows[-1].pictures[first], a.original()))
+    where = touched((rows[-1].pictures[a.facts.index], a.original()))
     plates = a.original(), b.original()
     values = [
         mean_flicker(work.image(a, r.levels), work.image(b, r.levels), *plates, where)
@@ -280,15 +257,12 @@ def _measure_flicker(work: _Work, rows: Sequence[Row]) -> None:
 
 
 def _pipelines(work: _Work) -> list[Row]:
-    """Those that have a quality's name, cheapest first."""
-    stages = work.job.stages
-    named: dict[tuple[str, ...], Row] = {}
+    """The frame as it was, and those that have a quality's name, the reference last."""
+    rows: dict[tuple[str, ...], Row] = {(): Row(PIPELINE, LEFT_OUT, "")}
     for quality in QUALITIES:
-        levels = {n: level_named(stages[n].levels, quality) for n in work.usual}
+        levels = {
+            n: level_named(work.job.stages[n].levels, quality) for n in work.usual
+        }
         row = Row(PIPELINE, quality, "", levels=levels)
-        named.setdefault(tuple(levels.values()), row)
-    rows = list(named.values())
-    _compare(work, rows)
-    for row in rows:
-        work.time(row)
-    return sorted(rows, key=lambda r: r.seconds)
+        rows.setdefault(tuple(levels.values()), row)
+    return list(rows.values())
