@@ -18,27 +18,79 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from arfx.core.cost import sum_independent
+from arfx.core.cost import Prediction, measured, sum_independent
 from arfx.core.numerics import divide
 from arfx.core.stage import Stage, level_named
 from arfx.core.waiting import Progress
 from arfx.errors import NothingToDoError
-from arfx.measure.difference import difference, mean_flicker, touched
+from arfx.measure.difference import Difference, difference, mean_flicker, touched
 from arfx.measure.steps import FrameRenderer, open_frames, window_of
 from arfx.measure.tradeoff_frames import Sample, pick_frames
-from arfx.measure.tradeoff_pipelines import LEFT_OUT, QUALITIES, Row
 from arfx.measure.tradeoff_time import Times, fast, planned
 from arfx.plan.planner import new_terms
 from arfx.run.parameters import stages_of
 from arfx.run.planned import Job
 from arfx.stages import ALWAYS
 
+QUALITIES = ("draft", "standard", "high", "reference")
+LEFT_OUT = "left out"  # in place of a level
 REFERENCE_S, LEAST_PX = 60.0, 600
 PIPELINE = "pipeline"  # the name of rows that are no effect's
 # of a picture: comparing whole ones of 1080p took twice as long as the references
 MOST_PX = 600_000
 
 Levels = Mapping[str, str]  # by stage; one that is left out has none
+
+
+@dataclass(eq=False)
+class Row:
+    """One level of one effect, or one whole pipeline. time : per frame;  by_frame : what
+    was found in each;  predicted : the time of one of its steps was not measured
+
+    formula : which the stage ran under;  flicker : of this and of the reference, grey
+    levels from a frame to the next"""
+
+    name: str
+    level: str
+    formula: str
+    time: Prediction = field(default_factory=lambda: measured(0.0))
+    predicted: bool = False
+    by_frame: dict[int, Difference] = field(default_factory=dict)
+    flicker: tuple[float, float] | None = None
+    pictures: dict[int, ndarray] = field(default_factory=dict)
+    levels: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def seconds(self) -> float:
+        return self.time.seconds
+
+    def worst(self, what: str) -> float:
+        return max((getattr(d, what) for d in self.by_frame.values()), default=0.0)
+
+    def average(self, what: str) -> float:
+        """Over all touched pixels of all frames; frames in which the effect touches nothing
+        do not count.
+        """
+        weights = [d.pixels for d in self.by_frame.values()]
+        if not sum(weights):
+            return float(getattr(Difference(), what))
+        return float(
+            np.average(
+                [getattr(d, what) for d in self.by_frame.values()], weights=weights
+            )
+        )
+
+    def worst_frame(self) -> int | None:
+        return max(self.by_frame, key=lambda i: self.by_frame[i].p99, default=None)
+
+
+def front(rows: Sequence[Row]) -> list[Row]:
+    """Those that no other beats in both time and mean error, cheapest first."""
+    out: list[Row] = []
+    for r in sorted(rows, key=lambda r: (r.seconds, r.average("mean"))):
+        if not out or r.average("mean") < out[-1].average("mean") - 1e-9:
+            out.append(r)
+    return out
 
 
 @dataclass

@@ -19,8 +19,7 @@ from arfx.measure.difference import delta_e
 from arfx.measure.plots import INK, PREDICTED, png, styled
 from arfx.measure.pose_plot import RAW, SMOOTH
 from arfx.measure.report import write_json
-from arfx.measure.tradeoff import Measurements
-from arfx.measure.tradeoff_pipelines import LEFT_OUT, QUALITIES, Row, front
+from arfx.measure.tradeoff import LEFT_OUT, QUALITIES, Measurements, Row, front
 from arfx.run.folder import write
 from arfx.run.pages import render
 from arfx.run.planned import Job

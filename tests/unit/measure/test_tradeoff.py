@@ -19,7 +19,14 @@ from arfx.core.rect import Rect
 from arfx.core.stage import Stage, View, level_named
 from arfx.measure.difference import Difference, difference, mean_flicker, touched
 from arfx.measure.steps import Chain, FrameRenderer, PreparedStages, window_of
-from arfx.measure.tradeoff import Measurements, _choose_windows, _Work
+from arfx.measure.tradeoff import (
+    LEFT_OUT,
+    Measurements,
+    Row,
+    _choose_windows,
+    _Work,
+    front,
+)
 from arfx.measure.tradeoff_frames import NAMES, Sample, pick_frames
 from arfx.measure.tradeoff_html import (
     MOST_BYTES,
@@ -27,7 +34,6 @@ from arfx.measure.tradeoff_html import (
     page,
     recommendation,
 )
-from arfx.measure.tradeoff_pipelines import LEFT_OUT, Row, front
 from arfx.measure.tradeoff_time import Times
 from arfx.plan.planner import plan_frame
 from arfx.run.parameters import stages_of
