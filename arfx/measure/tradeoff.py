@@ -190,12 +190,15 @@ def measure(
     numbers = [s.index for s in samples]
     opened = open_frames(job, [*numbers, *[first + 1] * flickers])
     sampled = {i: opened[i] for i in numbers}
+    met = new_terms(stages.values(), job.facts)
+    new = {f.index: terms for f, terms in zip(job.facts, met, strict=True)}
+    new[job.facts[0].index] = frozenset()  # it is one of many
     work = _Work(
         job,
         sampled,
         opened[first + 1] if flickers else None,
         {n: level_named(stages[n].levels, quality) for n in names},
-        Times([*sampled.values()], _new_light_fractions(job, names), job.prices),
+        Times([*sampled.values()], new, job.prices),
     )
     tables = {
         n: _levels_of(work, n)
@@ -221,20 +224,6 @@ def measure(
         {i: frame.window for i, frame in work.frames.items()},
         work.first.prepared.prepare_s,
     )
-
-
-def _new_light_fractions(job: Job, names: Sequence[str]) -> dict[str, float]:
-    """By stage: the fraction of its frames whose light was not met before."""
-    met = new_terms(job.stages.values(), job.facts)
-    new = {f.index: terms for f, terms in zip(job.facts, met, strict=True)}
-    out = {}
-    for name in names:
-        terms = job.stages[name].terms
-        runs = [
-            p.index for p in job.plan.frames if name in {s.stage for s in p.steps}
-        ]
-        out[name] = float(np.mean([not new[i].isdisjoint(terms) for i in runs]))
-    return out
 
 
 def _choose_windows(

@@ -40,7 +40,7 @@ def reproduce(papers: Sequence[str], folder: Path, work: Work) -> dict[str, Any]
     rows = []
     for k, paper in enumerate(papers):
         work.progress("papers", k, len(papers))
-        own = [*import_module(PAPERS[paper].module).rows(work)]
+        own = [*import_module(f"arfx.reproduce.{paper}").rows(work)]
         folder.mkdir(parents=True, exist_ok=True)
         html = render(
             "reproduce/paper.html",

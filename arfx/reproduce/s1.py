@@ -7,7 +7,6 @@ lamp."""
 from __future__ import annotations
 
 from functools import reduce
-from pathlib import Path
 from typing import NamedTuple
 
 import cv2
@@ -32,11 +31,18 @@ from arfx.reproduce.rows import (
     errors,
     rows_of,
 )
-from arfx.reproduce.work import AS_PRINTED, DEFAULTS, Settings, Shot, Work
+from arfx.reproduce.work import (
+    AS_PRINTED,
+    DEFAULTS,
+    Settings,
+    Shot,
+    Work,
+    scene_named,
+)
+from arfx.synth.description import SceneFile
 
 row = rows_of("s1")
 
-SCENE = Path(__file__).with_name("scenes") / "turned-card.toml"
 KEYS, REST_FRAMES, FPS = 27, 2, 24.0  # of the card: it rests in the last frames
 NO_SHADOW: Settings = {"lightmap": {"shadow_strength": 0.0, "self_shadow": 0.0}}
 METHODS = AS_PRINTED, DEFAULTS
@@ -222,13 +228,14 @@ def table_1(work: Work) -> Items:
 
 def turned_card(
     lamp: Lamp, size_px: tuple[int, int], frames: int, samples: int = 2
-) -> str:
+) -> SceneFile:
     """A scene whose card shows normals on a spiral about the line of sight; first and last
     it lies level.
 
     samples : of a pixel, a side"""
     turning_s = (frames - REST_FRAMES) / FPS
-    return SCENE.read_text(encoding="utf-8").format(
+    return scene_named(
+        "turned-card",
         width=size_px[0],
         height=size_px[1],
         frames=frames,

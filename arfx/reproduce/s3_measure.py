@@ -11,7 +11,6 @@ import itertools
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
@@ -28,7 +27,7 @@ from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, View
 from arfx.papers import s3_watercolor as paper
 from arfx.papers.s3_watercolor import PrintedWatercolor, PrintedWatercolorParams
-from arfx.reproduce.work import Work
+from arfx.reproduce.work import Work, scene_named
 from arfx.stages.watercolor import Watercolor
 from arfx.stages.watercolor.cells import mean_colours
 from arfx.stages.watercolor.lines import measure_edges
@@ -37,7 +36,6 @@ from arfx.stages.watercolor.sites import STEPS, Sites
 
 CELL_PX = 8
 OBJECTS = ("teapot", "cube", "rabbit")
-SCENE = Path(__file__).with_name("scenes") / "group.toml"
 
 
 class Shown(NamedTuple):
@@ -107,9 +105,7 @@ def shown(work: Work) -> Shown:
     classes paint the same picture.
     """
     width, height = work.scaled((640, 360), (240, 136))
-    clip = work.clip(
-        SCENE.read_text(encoding="utf-8").format(width=width, height=height)
-    )
+    clip = work.clip(scene_named("group", width=width, height=height))
     model = {"file": work.model("group"), "fit": "26cm"}
     shot = work.shot(clip, {"model": model})
     layers = shot.renderer.after(shot.up_to("watercolor")[:-1]).view(

@@ -26,8 +26,7 @@ from arfx.papers.s4_shadow_maps import step2_radiance
 from arfx.papers.s4_volumes import octree_of, step2_volumes
 from arfx.papers.s4_voxels import Volume
 from arfx.reproduce.rows import Items, Row, rows_of
-from arfx.reproduce.s4_pictures import on_the_plane, pictures
-from arfx.reproduce.s4_scenes import flat_with
+from arfx.reproduce.s4_pictures import flat_with, on_the_plane, pictures
 from arfx.reproduce.work import Work
 from arfx.stages.gi.health import seam_ratio
 from arfx.stages.gi.reference_scene import RayScene

@@ -15,19 +15,21 @@ from numpy import ndarray
 from arfx.core.colour import SRGB
 from arfx.core.layers import Layer
 from arfx.core.numerics import normalise
+from arfx.core.scene import Scene
 from arfx.core.stage import level_named
 from arfx.measure.difference import TOUCHED
+from arfx.papers import PAPER
 from arfx.reproduce.rows import (
     BEFORE,
     CORRECTED,
+    PRINTED,
     REFERENCE,
     Items,
     Row,
     errors,
     rows_of,
 )
-from arfx.reproduce.s4_scenes import LAMP, flat_scene, methods, room
-from arfx.reproduce.work import Clip, Settings, Shot, Work
+from arfx.reproduce.work import Clip, Settings, Shot, Work, scene_named
 from arfx.synth.rays import Rays, radiance
 from arfx.synth.world import World
 
@@ -36,6 +38,9 @@ row = rows_of("s4")
 FOOTPRINT_RAD = 0.03  # of a ray: about what a pixel of the ball mirrors
 REFLECTED = 0.95  # of the ball's material
 _LIFT_M = 1e-4
+# of the two scenes: azimuth, elevation, R, G, B
+LAMP = [148, 52, 0.42, 0.40, 0.36]
+FLAT_LAMP = [60, 45, 0.5, 0.5, 0.5]
 
 
 def pictures(work: Work) -> Items:
@@ -165,3 +170,37 @@ def mirror_rays(origins: ndarray, towards: ndarray) -> Rays:
     aside = normalise(np.cross(forward, np.eye(3)[np.abs(forward).argmin(-1)]))
     spans = FOOTPRINT_RAD * np.stack([aside, np.cross(forward, aside)], 1)
     return Rays(origins, forward, spans, np.zeros(len(forward)))
+
+
+def flat_scene(work: Work) -> Clip:
+    """A grey plane, a marker, one lamp."""
+    return work.clip(scene_named("flat"))
+
+
+def room(work: Work) -> Clip:
+    width, height, samples = work.scaled((480, 270, 2), (128, 72, 1))
+    return work.clip(scene_named("room", width=width, height=height, samples=samples))
+
+
+def methods(
+    work: Work, model: str, fit: str, light: list[float] = FLAT_LAMP, **gi: object
+) -> dict[str, Any]:
+    """Settings by PRINTED and CORRECTED: indirect light by one formula, all else by the corrected
+    one. light : configured, as in the paper: the scene's lamp"""
+    given: dict[str, Any] = {
+        "model": {"file": work.model(model), "fit": fit},
+        "pipeline": {
+            "stages": ["lightmap", "gi"],
+            "quality": work.scaled("standard", "draft"),
+        },
+        "light": {"given": light},
+    }
+    gi = {"samples": 32, **gi}
+    printed = {**gi, "formula": PAPER, "voxels": work.scaled(64, 32)}
+    return {PRINTED: {**given, "gi": printed}, CORRECTED: {**given, "gi": gi}}
+
+
+def flat_with(work: Work, model: str, fit: str) -> Scene:
+    """The flat scene with a model."""
+    settings = methods(work, model, fit)[CORRECTED]
+    return work.planned(flat_scene(work), settings).scene

@@ -45,6 +45,7 @@ AS_PRINTED: Settings = {name: {"formula": PAPER} for name in FORMULAS[PAPER]}
 # GLB, y up, about one unit wide: teapot, apple and aeroplane of table 1 of Tan, Chen, Sun 2009;
 # teapot, cube and rabbit of figure 5 of Jia, Tang 2013; what shows indirect light, and blur
 MODELS = Path(__file__).with_name("models")
+SCENES = Path(__file__).with_name("scenes")
 # of a timed job: rendered before, so that imports, compiled code and first contacts are not
 # counted
 WARM_FRAMES = 2
@@ -133,16 +134,12 @@ class Work:
         """A size or count, by how much is wanted."""
         return short if self.short else full
 
-    def clip(self, scene: str | SceneFile) -> Clip:
-        """The clip of a scene, as TOML text (arfx/synth/description.py) or read.
-
-        The same scene is made once.
-        """
-        read = parse_scene(scene, "scene") if isinstance(scene, str) else scene
-        folder = self.folder / f"clip-{_digest(read.model_dump_json())}"
+    def clip(self, scene: SceneFile) -> Clip:
+        """The same scene is made once."""
+        folder = self.folder / f"clip-{_digest(scene.model_dump_json())}"
         if not folder.exists():
-            make_clip(read, folder, None, self._checked, truth_pictures=False)
-        return Clip(folder, read)
+            make_clip(scene, folder, None, self._checked, truth_pictures=False)
+        return Clip(folder, scene)
 
     def model(self, name: str) -> str:
         """Path of one of the models beside this module, for settings: {"model": {"file":
@@ -203,6 +200,12 @@ class Work:
     def _checked(self, phase: str, done: int, total: int | None) -> None:
         interrupt.check()
         self.progress(phase, done, total)
+
+
+def scene_named(name: str, **parts: Any) -> SceneFile:
+    """One of the scenes beside this module. parts : that it names in braces"""
+    text = (SCENES / f"{name}.toml").read_text(encoding="utf-8")
+    return parse_scene(text.format(**parts), name)
 
 
 def shot_of(job: Job, index: int) -> Shot:

@@ -255,7 +255,13 @@ def work_of(
     config = SimpleNamespace(params=params)
     inputs = SimpleNamespace(config=config, camera=frame.prepared.scene.camera)
     job: Any = SimpleNamespace(stages=frame.stages, inputs=inputs)
-    return _Work(job, {3: frame}, None, levels, Times([frame], {}, Prices(prices)))
+    return _Work(
+        job,
+        {3: frame},
+        None,
+        levels,
+        Times([frame], {0: frozenset()}, Prices(prices)),
+    )
 
 
 def stages_named(*names: str) -> Mapping[str, Stage]:

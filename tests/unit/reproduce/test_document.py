@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -23,15 +21,9 @@ def items(monkeypatch: pytest.MonkeyPatch) -> list[Row]:
     """What the module of s1 yields."""
     found: list[Row] = []
 
-    def rows(work: Work) -> Iterator[Row]:
-        yield from found
-
-    module = ModuleType("rows_of_a_paper")
-    module.rows = rows  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, module.__name__, module)
-    monkeypatch.setitem(
-        PAPERS, "s1", Paper("Some <One> 2009", "A title", module.__name__)
-    )
+    module = import_module("arfx.reproduce.s1")
+    monkeypatch.setattr(module, "rows", lambda work: iter(found))
+    monkeypatch.setitem(PAPERS, "s1", Paper("Some <One> 2009", "A title"))
     return found
 
 

@@ -26,7 +26,7 @@ MEASURED = "measured"
 
 def verdicts(paper: str, folder: Path) -> dict[str, str]:
     """Of rows that are complete."""
-    rows = [*import_module(PAPERS[paper].module).rows(Work(folder, short=True))]
+    rows = [*import_module(f"arfx.reproduce.{paper}").rows(Work(folder, short=True))]
     assert sorted(r.item for r in rows) == sorted(statements(paper))
     for r in rows:
         assert r.verdict == HOLDS or r.reason.strip(), r.item
