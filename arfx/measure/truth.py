@@ -211,14 +211,11 @@ def compare(
 
 def world_key(world_from_marker: Mapping[str, Pose], truth: Truth) -> str:
     """The marker whose axes are the world's, or else the first configured one that was mapped."""
-    for key, pose in world_from_marker.items():
-        if (
-            key in truth.header["markers"]
-            and np.linalg.norm(pose.rotvec) < 1e-9
-            and np.linalg.norm(pose.translation_m) < 1e-9
-        ):
-            return key
-    return next(k for k in truth.header["markers"] if k in world_from_marker)
+    keys = [key for key in truth.header["markers"] if key in world_from_marker]
+    origin = Pose.identity().matrix
+    return min(
+        keys, key=lambda k: not np.allclose(world_from_marker[k].matrix, origin)
+    )
 
 
 def exceeded(figures: Mapping[str, Any], bounds: Mapping[str, Any]) -> list[str]:
