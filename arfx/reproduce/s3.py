@@ -60,7 +60,8 @@ def frame_rows(frame: Shown) -> Items:
 
 def cell_rows(frame: Shown) -> Items:
     """3.1.1, and 3.1.2 with cones of one size."""
-    rect, (m, n) = frame.layers.rect, measure.cells_of(frame)
+    rect = frame.layers.rect
+    m, n = printed().params.grid(rect)
     w = rect.width / n
     h = rect.height / m
     cell_px = float(np.sqrt(w * h))
@@ -143,7 +144,7 @@ def edge_rows(frame: Shown) -> Items:
             yield row(f"{equation}, {step}", measure.edge_of(*colours, beta))
     item = "figure 5, edges of the frame"
     toon_shaded = printed().frame(frame.view(printed()))
-    edges = measure.printed_edges(toon_shaded, printed().params)
+    edges = printed().edges(toon_shaded)
     lines = measure.corrected_lines(frame)
     objects = frame.objects().items()
     outlines = {
@@ -170,7 +171,7 @@ def picture_rows(frame: Shown) -> Items:
     view = frame.view(stage)
     coded = stage.frame(view)
     cells = stage.cells(view, coded)
-    edges = measure.printed_edges(coded, stage.params)
+    edges = stage.edges(coded)
     done = np.where(edges[..., None], 0, cells)
     made = frame.painted(stage)
     steps = {
@@ -193,14 +194,8 @@ def time_rows(frame: Shown, work: Work) -> Items:
     # the paper's grain rests on the screen
     stages = (printed(), corrected(grain=0.0))
     frames = work.scaled(5, 3)
-    errors, changes = zip(
-        *(measure.change_at_rest(frame, stage, frames) for stage in stages),
-        strict=True,
-    )
-    names = f"change, {PRINTED}", f"change, {CORRECTED}"
-    pictures = {name: 8 * change for name, change in zip(names, changes, strict=True)}
-    item = "section 2, coherence at rest, whole picture"
-    yield row(item, errors, None, pictures)
+    errors = [measure.change_at_rest(frame, stage, frames) for stage in stages]
+    yield row("section 2, coherence at rest, whole picture", errors)
 
 
 def _threshold(tones: ndarray, cosine: ndarray) -> float:

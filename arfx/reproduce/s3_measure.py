@@ -114,12 +114,6 @@ def shown(work: Work) -> Shown:
     return Shown(layers, shot.facts, shot.job.scene, shot.renderer.original())
 
 
-def cells_of(shown: Shown) -> tuple[int, int]:
-    """m, n: rows and columns of cells of about CELL_PX."""
-    rect = shown.layers.rect
-    return max(round(rect.height / CELL_PX), 1), max(round(rect.width / CELL_PX), 1)
-
-
 def printed(**settings: Any) -> PrintedWatercolor:
     return PrintedWatercolor(PrintedWatercolorParams(cell_px=CELL_PX, **settings))
 
@@ -159,11 +153,6 @@ def edge_of(
     return float(own), float(corrected * n / 2)
 
 
-def printed_edges(coded: ndarray, p: PrintedWatercolorParams) -> ndarray:
-    """(h, w) bool"""
-    return paper.eq4_edges(coded, p.alpha, p.beta, p.yuv) > p.line_threshold
-
-
 def corrected_lines(shown: Shown) -> ndarray:
     """(h, w) float32 strength of the lines of a frame, 0..1."""
     stage = corrected()
@@ -171,14 +160,10 @@ def corrected_lines(shown: Shown) -> ndarray:
     return stage.lines_of(view, stage.with_toon(view))
 
 
-def change_at_rest(
-    shown: Shown, stage: Watercolor, frames: int
-) -> tuple[float, ndarray]:
-    """Of a resting, noisy camera: mean squared difference from frame to frame, and that of
-    the first two (h, w, 3), coded."""
+def change_at_rest(shown: Shown, stage: Watercolor, frames: int) -> float:
+    """Of a resting, noisy camera: mean squared difference from frame to frame, coded."""
     made = [shown.noisy(100 + k, NOISE).painted(stage) for k in range(frames)]
-    change = np.diff(made, axis=0)
-    return float(np.mean(change**2)), abs(change[0])
+    return float(np.mean(np.diff(made, axis=0) ** 2))
 
 
 def areas_on_plane(bands: int, repeats: int) -> tuple[ndarray, ndarray]:

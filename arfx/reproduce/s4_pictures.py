@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from arfx.core.colour import SRGB
 from arfx.core.layers import Layer
 from arfx.core.numerics import normalise
 from arfx.core.scene import Scene
 from arfx.core.stage import level_named
 from arfx.measure.difference import TOUCHED
+from arfx.measure.steps import srgb8
 from arfx.papers import PAPER
 from arfx.reproduce.rows import (
     BEFORE,
@@ -158,9 +158,7 @@ def mirrored_room(clip: Clip, shot: Shot, picture: ndarray) -> ndarray:
         cosine = 1 / np.hypot(1, lamp[6])  # of half its angular size
         light[unit @ lamp[:3] > cosine] += lamp[3:6] / (2 * (1 - cosine))
     out = picture.copy()
-    out[covered] = np.rint(
-        255 * SRGB.encode(np.clip(REFLECTED * light, 0, 1))
-    ).astype(np.uint8)
+    out[covered] = srgb8(REFLECTED * light)
     return out
 
 
