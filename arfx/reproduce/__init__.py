@@ -7,8 +7,6 @@ figure, with pictures where the paper has some. `work` makes the scenes and jobs
 are computed from (`work.Work`). To add an item: state it, yield its row, and record its
 verdict in tests/unit/reproduce/verdicts."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 

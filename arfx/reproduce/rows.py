@@ -9,8 +9,6 @@ below : it was found where all values are
 
 These texts name in braces what a module gives with its values."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from decimal import Decimal
