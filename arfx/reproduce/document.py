@@ -44,7 +44,8 @@ def reproduce(papers: Sequence[str], folder: Path, work: Work) -> dict[str, Any]
             "reproduce/paper.html",
             paper=PAPERS[paper],
             rows=own,
-            machine=machine(),
+            platform=platform,
+            cores=usable_cores(),
             short=work.short,
             verdicts=VERDICTS,
             text=text,
@@ -60,20 +61,6 @@ def document_of(paper: str, row: Row) -> dict[str, Any]:
     document = {"paper": paper, **row._asdict()}
     del document["title"], document["pictures"]
     return document
-
-
-def machine() -> str:
-    """What the times were taken on."""
-    system = (
-        f"{platform.machine()}, {usable_cores()} cores, {platform.system()}, Python"
-        f" {platform.python_version()}"
-    )
-    return (
-        f"Made on {system}. Rates are of one worker over decoding, analysing, rendering and"
-        " encoding; start-up, planning and what is prepared once per clip are left out."
-        " Memory is the most that a process of its own held, Python and libraries"
-        " included."
-    )
 
 
 def text(value: Value) -> str:

@@ -161,11 +161,11 @@ class Work:
         return self._planned[key]
 
     def shot(self, clip: Clip, settings: Settings = DEFAULTS, index: int = 0) -> Shot:
-        """One frame of the clip under these settings.
-
-        Raises RenderError where nothing would be rendered in it.
-        """
-        return shot_of(self.planned(clip, settings), index)
+        """One frame of the clip under these settings, in which the object is seen."""
+        job = self.planned(clip, settings)
+        frame = open_frames(job, [index])[index]
+        levels = {s.stage: s.level for s in frame.plan.steps}
+        return Shot(job, frame, frame.chain(levels))
 
     def timed(self, clip: Clip, settings: Settings) -> Timed:
         """The whole job in a process of its own, so that its memory is its own; in the
@@ -206,17 +206,6 @@ def scene_named(name: str, **parts: Any) -> SceneFile:
     """One of the scenes beside this module. parts : that it names in braces"""
     text = (SCENES / f"{name}.toml").read_text(encoding="utf-8")
     return parse_scene(text.format(**parts), name)
-
-
-def shot_of(job: Job, index: int) -> Shot:
-    plan = job.plan.frames[index]
-    if not plan.steps:
-        raise RenderError(
-            f"frame {index} of {job.inputs.info.path} shows no object: nothing is rendered"
-            " in it"
-        )
-    (frame,) = open_frames(job, [index]).values()
-    return Shot(job, frame, frame.chain({s.stage: s.level for s in plan.steps}))
 
 
 def median_s(work: Callable[[], Any], repeats: int = 5) -> float:
