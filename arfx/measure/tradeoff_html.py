@@ -12,7 +12,6 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 from numpy import ndarray
 
-from arfx.errors import RenderError
 from arfx.measure.difference import delta_e
 from arfx.measure.plots import INK, PREDICTED, png, styled
 from arfx.measure.pose_plot import RAW, SMOOTH
@@ -23,37 +22,24 @@ from arfx.run.pages import render
 from arfx.run.planned import Job
 
 TIMES, MOST_DELTA_E = 8, 10
-MOST_BYTES = 5_000_000
 
 
 def write_tradeoff(
     folder: Path, found: Measurements, document: Mapping[str, Any]
 ) -> Path:
-    """Write tradeoff.json and tradeoff.html into `folder`; the page has at most MOST_BYTES:
-    pictures are coded coarser until it fits. Returns its path.
-    """
+    """Write tradeoff.json and tradeoff.html into `folder`. Returns the page's path."""
     write_json(folder / "tradeoff.json", document)
-    for quality in (90, 75, 55, 30):
-        html = page(found, document, quality)
-        if len(html.encode()) <= MOST_BYTES:
-            break
-    else:
-        raise RenderError(
-            "tradeoff.html would be larger than 5 MB", "--frames 2 measures fewer"
-        )
-    write(folder / "tradeoff.html", html)
+    write(folder / "tradeoff.html", page(found, document))
     return folder / "tradeoff.html"
 
 
-def page(found: Measurements, document: Mapping[str, Any], quality: int = 90) -> str:
-    """quality : of the JPEG pictures, 0 to 100"""
+def page(found: Measurements, document: Mapping[str, Any]) -> str:
     return render(
         "measure/tradeoff.html",
         clip=Path(str(document["clip"])).name,
         document=document,
         effects=found.effects,
         pipelines=found.pipelines,
-        quality=quality,
         error_plot=error_plot,
         most_different=most_different,
         error_map=error_map,

@@ -263,11 +263,10 @@ def light_errors(
     normals, all channels
     bias_grey : error of the camera's bias in 8-bit sRGB steps above its true value, worst channel
     size_deg : claimed less true angular size, median"""
-    angles, sizes, irradiance, bias, false, frames = [], [], [], [], 0, 0
+    angles, sizes, irradiance, bias, false = [], [], [], [], 0
     for fact, frame in zip(facts, truth.frames, strict=True):
         if fact.light is None:
             continue
-        frames += 1
         coded_bias = (
             SRGB.encode(np.array(rgb)) for rgb in (fact.bias_rgb, frame.bias)
         )
@@ -288,10 +287,10 @@ def light_errors(
         angles.append(off[nearest])
         sizes.append(claimed.angular_size_deg - lamps[nearest]["angular_size_deg"])
         false += off[nearest] > max(FALSE_FACTOR * claimed.confidence_deg, FALSE_DEG)
-    if not frames:
+    if not bias:
         return None
     out: dict[str, Any] = {
-        "frames": frames,
+        "frames": len(bias),
         "measured": len(angles) + false * (not angles),
         "false": int(false),
         "bias_grey": float(np.median(bias)),

@@ -29,7 +29,6 @@ from arfx.measure.tradeoff import (
 )
 from arfx.measure.tradeoff_frames import NAMES, Sample, pick_frames
 from arfx.measure.tradeoff_html import (
-    MOST_BYTES,
     error_map,
     page,
     recommendation,
@@ -318,10 +317,10 @@ def test_a_step_is_timed_upon_the_steps_before_it_that_are_not_left_out(
     ]
 
 
-def test_the_page_holds_everything_and_little_enough() -> None:
+def test_the_page_holds_everything() -> None:
     f = found()
     html = page(f, told(f))
-    assert "a&lt;b&gt;.mp4" in html and "error × 8" in html and len(html) < MOST_BYTES
+    assert "a&lt;b&gt;.mp4" in html and "error × 8" in html
     assert html.count("≈ 2") == 2, "what was not measured is marked"
     assert "http://" not in html.replace("http://www.w3.org", "")
     reference = np.full((4, 5, 3), 100, np.uint8)
