@@ -26,7 +26,7 @@ from arfx.measure.steps import FrameRenderer, open_frames, window_of
 from arfx.measure.tradeoff_frames import Sample, pick_frames
 from arfx.measure.tradeoff_time import Times, fast, planned
 from arfx.plan.planner import new_terms
-from arfx.run.parameters import stages_of
+from arfx.run.parameters import stages_of, under_other_formula
 from arfx.run.planned import Job
 from arfx.stages import ALWAYS
 
@@ -45,8 +45,9 @@ class Row:
     """One level of one effect, or one whole pipeline. time : per frame;  by_frame : what
     was found in each;  predicted : the time of one of its steps was not measured
 
-    formula : which the stage ran under;  flicker : of this and of the reference, grey
-    levels from a frame to the next"""
+    formula : which the stage ran under;  other : stages under the formula that the job does
+    not choose, in place of its own
+    flicker : of this and of the reference, grey levels from a frame to the next"""
 
     name: str
     level: str
@@ -57,6 +58,7 @@ class Row:
     flicker: tuple[float, float] | None = None
     pictures: dict[int, ndarray] = field(default_factory=dict)
     levels: Mapping[str, str] = field(default_factory=dict)
+    other: Mapping[str, Stage] = field(default_factory=dict)
 
     @property
     def seconds(self) -> float:
@@ -141,13 +143,16 @@ class _Work:
             }
         return self.left[key]
 
-    def image(self, frame: FrameRenderer, levels: Levels) -> ndarray:
-        return frame.image(frame.chain(levels, self.stages(levels)))
+    def of_row(self, row: Row) -> dict[str, Stage]:
+        return {**self.stages(row.levels), **row.other}
+
+    def image(self, frame: FrameRenderer, row: Row) -> ndarray:
+        return frame.image(frame.chain(row.levels, self.of_row(row)))
 
     def time(self, row: Row) -> None:
         """Note what a frame takes: the effect's step, or all of a pipeline. Each step is
         timed upon what those before it make at their usual level."""
-        stages = self.stages(row.levels)
+        stages = self.of_row(row)
         names = list(row.levels)
         usual = [
             fast(stages[n], level_named(stages[n].levels, self.usual[n]))
@@ -248,19 +253,35 @@ def _choose_windows(
 
 
 def _levels_of(work: _Work, name: str) -> list[Row]:
-    """A job without the effect, and each of its levels, the reference last, with all other
-    stages at their usual level.
+    """A job without the effect, the effect under its other formula, and each of its levels,
+    the reference last, with all other stages at their usual level.
     """
     stage, usual = work.job.stages[name], work.usual
     formula = getattr(stage.params, "formula", "")
     without = {n: level for n, level in usual.items() if n != name}
     return [
         Row(name, LEFT_OUT, formula, levels=without),
+        *_other_formula(work, name, [name]),
         *(
             Row(name, level, formula, levels={**usual, name: level})
             for level in stage.levels
         ),
     ]
+
+
+def _other_formula(work: _Work, name: str, stages: Collection[str]) -> list[Row]:
+    """A row of these stages under their other formula, at usual levels or the nearest that
+    they have then; none where no stage has another.
+    """
+    found = {n: under_other_formula(n, work.job.stages[n].params) for n in stages}
+    other = {n: stage for n, stage in found.items() if stage is not None}
+    if not other:
+        return []
+    own = {**work.job.stages, **other}
+    levels = {n: level_named(own[n].levels, at) for n, at in work.usual.items()}
+    formula = next(iter(other.values())).params.formula
+    level = levels.get(name, "usual")
+    return [Row(name, level, formula, levels=levels, other=other)]
 
 
 def _compare(work: _Work, rows: Sequence[Row]) -> None:
@@ -271,7 +292,7 @@ def _compare(work: _Work, rows: Sequence[Row]) -> None:
         if rows[0].name not in {PIPELINE, *(s.stage for s in frame.plan.steps)}:
             continue
         for r in rows:
-            r.pictures[i] = work.image(frame, r.levels)
+            r.pictures[i] = work.image(frame, r)
         reference = rows[-1].pictures[i]
         where = touched(*((reference, r.pictures[i]) for r in rows))
         for r in rows:
@@ -288,15 +309,15 @@ def _measure_flicker(work: _Work, rows: Sequence[Row]) -> None:
     where = touched((rows[-1].pictures[a.facts.index], a.original()))
     plates = a.original(), b.original()
     values = [
-        mean_flicker(work.image(a, r.levels), work.image(b, r.levels), *plates, where)
-        for r in rows
+        mean_flicker(work.image(a, r), work.image(b, r), *plates, where) for r in rows
     ]
     for r, value in zip(rows, values, strict=True):
         r.flicker = (value, values[-1])
 
 
 def _pipelines(work: _Work) -> list[Row]:
-    """The frame as it was, and those that have a quality's name, the reference last."""
+    """The frame as it was, all under the other formula, and those that have a quality's name,
+    the reference last."""
     rows: dict[tuple[str, ...], Row] = {(): Row(PIPELINE, LEFT_OUT, "")}
     for quality in QUALITIES:
         levels = {
@@ -304,4 +325,5 @@ def _pipelines(work: _Work) -> list[Row]:
         }
         row = Row(PIPELINE, quality, "", levels=levels)
         rows.setdefault(tuple(levels.values()), row)
-    return list(rows.values())
+    left_out, *own = rows.values()
+    return [left_out, *_other_formula(work, PIPELINE, work.usual), *own]

@@ -77,22 +77,24 @@ FLOOR = 0.02  # grey levels: what is drawn for none
 @styled
 def error_plot(rows: Sequence[Row], title: str) -> bytes:
     """Mean and 99th percentile over the time; those means that no other beats are joined by
-    a line."""
+    a line, and the other formula's are diamonds."""
     fig = Figure((7.2, 3.9))
     axis = fig.subplots()
-    own = [r for r in rows if r.level != LEFT_OUT]
+    own = [r for r in rows if r.level != LEFT_OUT and not r.other]
+    other = [r for r in rows if r.other]
     for some, worst, style, colour, label in (
         (own, True, "o", RAW, "99th percentile, worst frame"),
         (own, False, "o", SMOOTH, "mean"),
         (front(own), False, "-", SMOOTH, "Pareto front"),
+        (other, False, "D", SMOOTH, None),
     ):
         points = [_point(r, worst) for r in some]
         axis.plot(
             *np.reshape(points, (-1, 2)).T, style, color=colour, ms=5, label=label
         )
-    for r in own:
+    for r in [*own, *other]:
         axis.annotate(
-            r.level,
+            f"{r.formula} {r.level}" if r.other else r.level,
             _point(r),
             (4, -11),
             textcoords="offset points",
@@ -122,7 +124,7 @@ def document(found: Measurements, job: Job, seconds: float) -> dict[str, Any]:
     """seconds : what the measuring took. `errors` is what `--tradeoff` reads (plan/errors.py)."""
     errors: dict[str, dict[str, float]] = {}
     for r in found.effects:
-        if r.level != LEFT_OUT:
+        if r.level != LEFT_OUT and not r.other:
             errors.setdefault(r.name, {})[r.level] = r.worst("mean")
     times = {f.index: f.time_s for f in job.facts}
     frames = [
@@ -143,6 +145,7 @@ def document(found: Measurements, job: Job, seconds: float) -> dict[str, Any]:
 
 
 def _row(r: Row, found: Measurements) -> dict[str, Any]:
+    own = [p for p in found.pipelines if not p.other]
     return {
         "name": r.name,
         "level": r.level,
@@ -152,7 +155,7 @@ def _row(r: Row, found: Measurements) -> dict[str, Any]:
             if r.name == "pipeline"
             else None
         ),
-        "beaten": r in found.pipelines and r not in front(found.pipelines),
+        "beaten": r in own and r not in front(own),
         "seconds_per_frame": r.seconds,
         "between_s": [r.time.low_s, r.time.high_s],
         "predicted": r.predicted,
@@ -183,17 +186,18 @@ def recommendation(found: Measurements) -> str:
     and what would; where all show, the nearest, and whose difference it is. Said too where
     so little of the picture was compared that other parts of it may differ otherwise.
     """
-    by_quality = {r.level: r for r in found.pipelines if r.level in QUALITIES}
+    by_quality = {
+        r.level: r for r in found.pipelines if r.level in QUALITIES and not r.other
+    }
     reference = by_quality.pop("reference", None)
     others = sorted(by_quality.values(), key=lambda r: r.seconds)
     good = next((r for r in others if not visible(r)), None)
     chosen = good or min(others, key=lambda r: r.average("mean"), default=None)
     lower = QUALITIES[: QUALITIES.index(chosen.level)] if chosen else ()
-    worse = [r for r in found.effects if r.level in lower and visible(r)]
+    effects = [r for r in found.effects if not r.other]
+    worse = [r for r in effects if r.level in lower and visible(r)]
     shows = max(worse, key=lambda r: r.worst("p99"), default=None)
-    own = [
-        r for r in found.effects if chosen and chosen.levels.get(r.name) == r.level
-    ]
+    own = [r for r in effects if chosen and chosen.levels.get(r.name) == r.level]
     return render(
         "measure/tradeoff_advice.jinja",
         reference=reference,

@@ -7,6 +7,7 @@ from arfx.analyse.job import Analysis
 from arfx.analyse.params import AnalyseParams, LightParams
 from arfx.config.load import suggestion
 from arfx.config.sections import JobConfig
+from arfx.core.settings import converted
 from arfx.core.stage import Stage, blamed
 from arfx.errors import ConfigError
 from arfx.papers import CORRECTED, FORMULAS
@@ -49,6 +50,16 @@ def stage_of(name: str, params: Any) -> Stage:
     kind = _classes(name).get(formula, STAGES[name])
     with blamed(kind, "while it is made"):
         return kind(params)
+
+
+def under_other_formula(name: str, params: Any) -> Stage | None:
+    """The stage under the formula that these settings do not choose, with those that both
+    have; None = it has one formula.
+    """
+    for formula, stage in _classes(name).items():
+        if formula != getattr(params, "formula", CORRECTED):
+            return stage(converted(params, stage.Params))
+    return None
 
 
 def pipeline(config: JobConfig) -> tuple[str, ...]:

@@ -43,9 +43,18 @@ NOISE = np.random.default_rng(0)
 NONE: Mapping[str, Price] = {}
 
 
-def row(name: str, level: str, seconds: float, mean: float, p99: float) -> Row:
-    frame = 3
-    r = Row(name, level, "", measured(seconds), levels={"dof": level})
+def row(
+    name: str,
+    level: str,
+    seconds: float,
+    mean: float,
+    p99: float,
+    formula: str = "",
+) -> Row:
+    frame, other = 3, {"dof": Stage()} if formula else {}
+    r = Row(
+        name, level, formula, measured(seconds), levels={"dof": level}, other=other
+    )
     r.by_frame[frame] = Difference(
         mean, p99, mean / 100, mean / 3, 1 - mean / 100, 900
     )
@@ -54,9 +63,11 @@ def row(name: str, level: str, seconds: float, mean: float, p99: float) -> Row:
 
 
 def found() -> Measurements:
-    effects = [row("dof", LEFT_OUT, 0.0, 9.0, 90), row("dof", "draft", 0.01, 2.0, 30),
+    effects = [row("dof", LEFT_OUT, 0.0, 9.0, 90), row("dof", "standard", 0.03, 4.0, 40, "paper"),
+               row("dof", "draft", 0.01, 2.0, 30),
                row("dof", "standard", 0.02, 0.4, 5), row("dof", "reference", 2.0, 0, 0)]  # fmt: skip
-    whole = [row("pipeline", "draft", 0.02, 1.8, 28), row("pipeline", "standard", 0.05, 0.8, 6),
+    whole = [row("pipeline", "usual", 0.001, 5.0, 50, "paper"),
+             row("pipeline", "draft", 0.02, 1.8, 28), row("pipeline", "standard", 0.05, 0.8, 6),
              row("pipeline", "high", 0.06, 0.9, 6), row("pipeline", "reference", 2.0, 0, 0)]  # fmt: skip
     samples = [Sample(3, dict.fromkeys(NAMES, 1.0), "typical")]
     return Measurements(
@@ -237,7 +248,8 @@ def test_a_small_window_is_said() -> None:
 
 
 def test_the_front_holds_only_what_nothing_beats() -> None:
-    assert [r.level for r in front(found().pipelines)] == [
+    own = [r for r in found().pipelines if not r.other]
+    assert [r.level for r in front(own)] == [
         "draft",
         "standard",
         "reference",
@@ -321,6 +333,7 @@ def test_the_page_holds_everything() -> None:
     f = found()
     html = page(f, told(f))
     assert "a&lt;b&gt;.mp4" in html and "error × 8" in html
+    assert html.count("standard (paper)") >= 2 and "usual (paper)" in html
     assert html.count("≈ 2") == 2, "what was not measured is marked"
     assert "http://" not in html.replace("http://www.w3.org", "")
     reference = np.full((4, 5, 3), 100, np.uint8)
