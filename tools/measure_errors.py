@@ -198,8 +198,7 @@ def measured(
 ) -> dict[str, Any]:
     """Of the `wanted` stages, in a job of the stages `names`."""
     from arfx.core.stage import level_named
-    from arfx.measure.tradeoff import measure
-    from arfx.measure.tradeoff_pipelines import LEFT_OUT
+    from arfx.measure.tradeoff import LEFT_OUT, measure
     from arfx.plan.planner import plan_frame
     from arfx.run.parameters import stages_of
 

@@ -28,14 +28,13 @@ MARGIN_PX = 10
 @dataclass(frozen=True)
 class Difference:
     """mean, p99 : grey levels, of the largest channel of each pixel;  flip, delta_e, ssim : means
-    worst_px : (x, y) in the picture;  pixels : how many it was taken over"""
+    pixels : how many it was taken over"""
 
     mean: float = 0.0
     p99: float = 0.0
     flip: float = 0.0
     delta_e: float = 0.0
     ssim: float = 1.0
-    worst_px: tuple[int, int] = (0, 0)
     pixels: int = 0
 
 
@@ -64,19 +63,15 @@ def difference(reference: ndarray, test: ndarray, where: ndarray) -> Difference:
         .clip(Rect.of(where.shape[1], where.shape[0]))
     )
     a, b, inside = reference[seen.slices], test[seen.slices], where[seen.slices]
-    apart = level_difference(a, b)
-    values = apart[inside]
+    values = level_difference(a, b)[inside]
     if not values.any():
         return Difference(pixels=len(values))
-    worst = int(np.argmax(np.where(inside, apart, -1)))
-    worst_y, worst_x = divmod(worst, apart.shape[1])
     return Difference(
         float(values.mean()),
         float(np.percentile(values, 99)),
         float(flip_map(a, b)[inside].mean()),
         float(delta_e(a[inside], b[inside]).mean()),
         float(ssim_map(a, b)[inside].mean()),
-        (worst_x + seen.x0, worst_y + seen.y0),
         len(values),
     )
 

@@ -38,21 +38,20 @@ _SQUARE = 0.1  # by which sides and diagonals of a square may differ
 _SAME_SIZE = 0.06  # prints of one size are measured as different by less
 # clips up to this many frames are read whole (cuts are found too); longer ones by seeking
 READ_WHOLE = 900
+FIGURES = "side_px", "blur_px", "tilt_deg"
+Figures = dict[str, list[float]]
 
 
 @dataclass
 class Found:
-    """One marker over the samples. sides_px, blurs_px, tilts_deg : one each per sample
-    (blur and tilt where measurable)
+    """One marker over the samples. figures : by name, one each per sample where measurable
     quads : all of its sightings, by sample;  counted : samples in which one counts;  sure :
     one is plain by itself;  same : a better one in its place
     """
 
     family: str
     id: int
-    sides_px: list[float] = field(default_factory=list)
-    blurs_px: list[float] = field(default_factory=list)
-    tilts_deg: list[float] = field(default_factory=list)
+    figures: Figures = field(default_factory=lambda: {n: [] for n in FIGURES})
     quads: dict[int, list[ndarray]] = field(default_factory=dict)
     counted: set[int] = field(default_factory=set)
     sure: bool = False
@@ -70,9 +69,7 @@ class Found:
             "id": self.id,
             "frames": len(self.quads),
             "looked": looked,
-            "side_px": _spread(self.sides_px),
-            "blur_px": _spread(self.blurs_px),
-            "tilt_deg": _spread(self.tilts_deg),
+            **{name: _spread(values) for name, values in self.figures.items()},
             "twice_in_a_frame": sum(len(quads) - 1 for quads in self.quads.values()),
             **({"why": self.why} if self.why else {}),
         }
@@ -172,12 +169,12 @@ def _record(
         m.quads.setdefault(index, []).append(quad)
         if len(m.quads[index]) > 1:
             continue
-        m.sides_px.append(c.side_px)
-        if np.isfinite(blurs).any():
-            m.blurs_px.append(float(np.nanmedian(blurs)))
+        known = blurs[np.isfinite(blurs)]
         tilt = None if camera is None else tilt_deg(c.quad_px, camera)
-        if tilt is not None:
-            m.tilts_deg.append(tilt)
+        blur = float(np.median(known)) if len(known) else None
+        for name, value in zip(FIGURES, (c.side_px, blur, tilt), strict=True):
+            if value is not None:
+                m.figures[name].append(value)
 
 
 def tilt_deg(quad_px: ndarray, camera: Camera) -> float | None:

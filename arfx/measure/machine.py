@@ -11,7 +11,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 
@@ -79,14 +79,15 @@ def examine(folder: Path) -> list[Check]:
     renderers = (
         Check("renderer", b.name, b.opens, b.detail, b.fix) for b in backend_report()
     )
-    return [
+    checks = (
         *_python(),
         *renderers,
         *_codecs(),
         *_resources(folder),
         _compiled(),
         *_plugins(),
-    ]
+    )
+    return [replace(check, fix="") if check.ok else check for check in checks]
 
 
 def _plugins() -> Iterator[Check]:
@@ -108,12 +109,12 @@ def essentials_work(checks: list[Check]) -> bool:
 def _python() -> Iterator[Check]:
     ok = sys.version_info >= (3, 11)
     here = f"{platform.python_version()}, {platform.platform()}"
-    fix = "" if ok else "install Python 3.11 or newer"
+    fix = "install Python 3.11 or newer"
     yield Check("python", "python", ok, here, fix, essential=True)
     yield Check("python", "arfx", True, arfx.__version__)
     for name in PACKAGES:
         found = _version(name)
-        fix = "" if found else f"pip install {name}"
+        fix = f"pip install {name}"
         said = found or "not installed"
         yield Check("package", name, bool(found), said, fix, essential=True)
     for name in filter(_version, RIVALS):
@@ -162,7 +163,7 @@ def _codecs() -> Iterator[Check]:
                 why = str(e).splitlines()[0]
             package = "opencv-contrib-python-headless" if codec.sequence else "av"
             said = why or f"{codec.encoder or name}, wrote and read back"
-            fix = f"pip install --force-reinstall {package}" if why else ""
+            fix = f"pip install --force-reinstall {package}"
             yield Check("codec", name, not why, said, fix, essential=name == "h264")
 
 
@@ -172,7 +173,7 @@ def _resources(folder: Path) -> Iterator[Check]:
     free = free_mb()
     if free is not None:
         ok = free >= LOW_MEMORY_MB
-        fix = "" if ok else "close programs, or --workers 1"
+        fix = "close programs, or --workers 1"
         yield Check("machine", "memory", ok, f"{free:.0f} MB free", fix)
     try:
         disk = shutil.disk_usage(folder).free / 1e6
@@ -180,8 +181,7 @@ def _resources(folder: Path) -> Iterator[Check]:
         fix = "run it in a folder that exists"
         yield Check("machine", "disk", False, f"{folder}: {e.strerror}", fix)
         return
-    ok = disk >= LOW_DISK_MB
-    fix = "" if ok else "free space for outputs"
+    ok, fix = disk >= LOW_DISK_MB, "free space for outputs"
     yield Check("machine", "disk", ok, f"{disk:.0f} MB free in {folder}", fix)
 
 

@@ -114,12 +114,12 @@ class FrameRenderer:
         """(h, w, 3) uint8 sRGB of the window after these steps."""
         if chain not in self.images:
             layers = self.after(chain)
-            self.images[chain] = _srgb8(layers.view(self.window)[Layer.IMAGE])
+            self.images[chain] = srgb8(layers.view(self.window)[Layer.IMAGE])
         return self.images[chain]
 
     def original(self) -> ndarray:
         """The same of the frame as it was."""
-        return _srgb8(self.plate[self.window.slices])
+        return srgb8(self.plate[self.window.slices])
 
     def layer(self, chain: Chain, name: Layer) -> ndarray:
         """(h, w, …) of the window after these steps."""
@@ -208,5 +208,6 @@ def window_of(
     return Rect(x0, y0, x0 + width, y0 + height).clip(whole).clip(frame)
 
 
-def _srgb8(linear: ndarray) -> ndarray:
+def srgb8(linear: ndarray) -> ndarray:
+    """uint8 of linear light."""
     return np.rint(255 * SRGB.encode(np.clip(linear, 0, 1))).astype(np.uint8)

@@ -11,15 +11,12 @@ REFERENCE_S together.
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy import ndarray
 
-from arfx.core.cost import sum_independent
-from arfx.core.layers import Layer
+from arfx.core.cost import Prediction, measured, sum_independent
 from arfx.core.numerics import divide
 from arfx.core.stage import Stage, level_named
 from arfx.core.waiting import Progress
@@ -27,20 +24,73 @@ from arfx.errors import NothingToDoError
 from arfx.measure.difference import Difference, difference, mean_flicker, touched
 from arfx.measure.steps import FrameRenderer, open_frames, window_of
 from arfx.measure.tradeoff_frames import Sample, pick_frames
-from arfx.measure.tradeoff_pipelines import LEFT_OUT, QUALITIES, Row
 from arfx.measure.tradeoff_time import Times, fast, planned
 from arfx.plan.planner import new_terms
 from arfx.run.parameters import stages_of, under_other_formula
 from arfx.run.planned import Job
 from arfx.stages import ALWAYS
 
+QUALITIES = ("draft", "standard", "high", "reference")
+LEFT_OUT = "left out"  # in place of a level
 REFERENCE_S, LEAST_PX = 60.0, 600
 PIPELINE = "pipeline"  # the name of rows that are no effect's
 # of a picture: comparing whole ones of 1080p took twice as long as the references
 MOST_PX = 600_000
 
 Levels = Mapping[str, str]  # by stage; one that is left out has none
-OWN: Mapping[str, Stage] = MappingProxyType({})
+
+
+@dataclass(eq=False)
+class Row:
+    """One level of one effect, or one whole pipeline. time : per frame;  by_frame : what
+    was found in each;  predicted : the time of one of its steps was not measured
+
+    formula : which the stage ran under;  other : stages under the formula that the job does
+    not choose, in place of its own
+    flicker : of this and of the reference, grey levels from a frame to the next"""
+
+    name: str
+    level: str
+    formula: str
+    time: Prediction = field(default_factory=lambda: measured(0.0))
+    predicted: bool = False
+    by_frame: dict[int, Difference] = field(default_factory=dict)
+    flicker: tuple[float, float] | None = None
+    pictures: dict[int, ndarray] = field(default_factory=dict)
+    levels: Mapping[str, str] = field(default_factory=dict)
+    other: Mapping[str, Stage] = field(default_factory=dict)
+
+    @property
+    def seconds(self) -> float:
+        return self.time.seconds
+
+    def worst(self, what: str) -> float:
+        return max((getattr(d, what) for d in self.by_frame.values()), default=0.0)
+
+    def average(self, what: str) -> float:
+        """Over all touched pixels of all frames; frames in which the effect touches nothing
+        do not count.
+        """
+        weights = [d.pixels for d in self.by_frame.values()]
+        if not sum(weights):
+            return float(getattr(Difference(), what))
+        return float(
+            np.average(
+                [getattr(d, what) for d in self.by_frame.values()], weights=weights
+            )
+        )
+
+    def worst_frame(self) -> int | None:
+        return max(self.by_frame, key=lambda i: self.by_frame[i].p99, default=None)
+
+
+def front(rows: Sequence[Row]) -> list[Row]:
+    """Those that no other beats in both time and mean error, cheapest first."""
+    out: list[Row] = []
+    for r in sorted(rows, key=lambda r: (r.seconds, r.average("mean"))):
+        if not out or r.average("mean") < out[-1].average("mean") - 1e-9:
+            out.append(r)
+    return out
 
 
 @dataclass
@@ -53,7 +103,6 @@ class Measurements:
     effects: list[Row]
     pipelines: list[Row]
     windows: dict[int, Any]
-    locations: dict[tuple[str, str], str] = field(default_factory=dict)
     prepare_s: dict[tuple[str, str], float] = field(default_factory=dict)
 
 
@@ -61,33 +110,29 @@ class Measurements:
 class _Work:
     """What the rows are made from.
 
-    frames : by number, in the window of their pictures;  following : the one of them after
-    the first sample, of which flicker alone is measured
-    usual : levels of the job's quality;  best : all at reference
+    frames : the samples, by number, in the window of their pictures;  following : the frame
+    after the first of them, of which flicker alone is measured
+    usual : levels of the job's quality
     """
 
     job: Job
-    samples: Sequence[int]
     frames: dict[int, FrameRenderer]
-    following: int | None
+    following: FrameRenderer | None
     usual: Levels
-    best: Levels
     times: Times
     left: dict[frozenset[str], dict[str, Stage]] = field(default_factory=dict)
 
     @property
-    def sampled(self) -> list[FrameRenderer]:
-        return [self.frames[i] for i in self.samples]
+    def first(self) -> FrameRenderer:
+        return next(iter(self.frames.values()))
 
-    def stages(
-        self, names: Collection[str], other: Mapping[str, Stage] = OWN
-    ) -> Mapping[str, Stage]:
+    def stages(self, names: Collection[str]) -> Mapping[str, Stage]:
         """Those of the job, or, where others of it are left out, those of a job without
-        them: they may have other settings then. other : some in place of these
+        them: they may have other settings then.
         """
         own, key = self.job.stages, frozenset(names)
         if self.usual.keys() <= key:
-            return {**own, **other}
+            return own
         if key not in self.left:
             left = stages_of(
                 self.job.inputs.config.params, [n for n in own if n in key]
@@ -96,17 +141,18 @@ class _Work:
                 n: own[n] if repr(vars(stage)) == repr(vars(own[n])) else stage
                 for n, stage in left.items()
             }
-        return {**self.left[key], **other}
+        return self.left[key]
 
-    def image(
-        self, frame: FrameRenderer, levels: Levels, other: Mapping[str, Stage] = OWN
-    ) -> ndarray:
-        return frame.image(frame.chain(levels, self.stages(levels, other)))
+    def of_row(self, row: Row) -> dict[str, Stage]:
+        return {**self.stages(row.levels), **row.other}
+
+    def image(self, frame: FrameRenderer, row: Row) -> ndarray:
+        return frame.image(frame.chain(row.levels, self.of_row(row)))
 
     def time(self, row: Row) -> None:
         """Note what a frame takes: the effect's step, or all of a pipeline. Each step is
         timed upon what those before it make at their usual level."""
-        stages = self.stages(row.levels, row.other)
+        stages = self.of_row(row)
         names = list(row.levels)
         usual = [
             fast(stages[n], level_named(stages[n].levels, self.usual[n]))
@@ -119,12 +165,6 @@ class _Work:
         ]
         row.time = sum_independent(map(self.times.of, chains))
         row.predicted = any(map(self.times.is_slow, chains))
-
-    def reference(self, name: str) -> Levels:
-        """Of an effect, with all others at their usual level, or of pipelines."""
-        if name == PIPELINE:
-            return self.best
-        return {**self.usual, name: self.best[name]}
 
 
 def measure(
@@ -148,138 +188,113 @@ def measure(
             "see `arfx plan`",
         )
     first, names = samples[0].index, steps[samples[0].index]
+    quality, stages = job.inputs.config.pipeline.quality, job.stages
     flickers = only is None and steps.get(first + 1) == names
-    work = _opened(job, [s.index for s in samples], names, flickers)
-    wanted = [n for n in work.usual if only is None or n in only]
-    other = {
-        n: stage
-        for n in wanted
-        if only is None
-        and (stage := under_other_formula(n, job.stages[n].params)) is not None
-    }
-    effects = [n for n in wanted if len(job.stages[n].levels) > 1 or n in other]
-    compared = [*[PIPELINE] * (only is None), *effects]
-    _choose_windows(work, [*map(work.reference, compared)], window_px)
-    found = Measurements(
-        samples, [], [], {i: f.window for i, f in work.frames.items()}
-    )
-    total = len(effects) + 2
-    for k, name in enumerate(effects):
-        progress("effects", k, total)
-        found.effects += _of_stage(work, name, found)
-    if only is None:
-        progress("pipelines", len(effects), total)
-        found.pipelines = _pipelines(work)
-    if other:
-        found.effects += [
-            _of_other_formula(work, n, {n: s}) for n, s in other.items()
-        ]
-        found.pipelines.append(_of_other_formula(work, PIPELINE, other))
-    found.prepare_s = work.sampled[0].prepared.prepare_s
-    progress("pipelines", total, total)
-    return found
-
-
-def _opened(
-    job: Job, samples: Sequence[int], names: Sequence[str], flickers: bool
-) -> _Work:
-    """names : stages of the samples;  flickers : with the frame after the first sample"""
-    following = samples[0] + 1 if flickers else None
-    stages, quality = job.stages, job.inputs.config.pipeline.quality
-    frames = open_frames(job, [*samples, *[samples[0] + 1] * flickers])
-    whole = [replace(frames[i]) for i in samples]
-    return _Work(
-        job,
-        samples,
-        frames,
-        following,
-        {n: level_named(stages[n].levels, quality) for n in names},
-        {n: stages[n].levels[-1] for n in names},
-        Times(whole, _new_light_fractions(job, names), job.prices),
-    )
-
-
-def _new_light_fractions(job: Job, names: Sequence[str]) -> dict[str, float]:
-    """By stage: the fraction of its frames whose light was not met before."""
-    met = new_terms(job.stages.values(), job.facts)
+    numbers = [s.index for s in samples]
+    opened = open_frames(job, [*numbers, *[first + 1] * flickers])
+    sampled = {i: opened[i] for i in numbers}
+    met = new_terms(stages.values(), job.facts)
     new = {f.index: terms for f, terms in zip(job.facts, met, strict=True)}
-    out = {}
-    for name in names:
-        terms = job.stages[name].terms
-        runs = [
-            p.index for p in job.plan.frames if name in {s.stage for s in p.steps}
-        ]
-        out[name] = float(np.mean([not new[i].isdisjoint(terms) for i in runs]))
-    return out
+    new[job.facts[0].index] = frozenset()  # it is one of many
+    work = _Work(
+        job,
+        sampled,
+        opened[first + 1] if flickers else None,
+        {n: level_named(stages[n].levels, quality) for n in names},
+        Times([*sampled.values()], new, job.prices),
+    )
+    tables = {
+        n: _levels_of(work, n)
+        for n in names
+        if len(stages[n].levels) > 1 and (only is None or n in only)
+    }
+    if only is None:
+        tables[PIPELINE] = _pipelines(work)
+    _choose_windows(work, [rows[-1].levels for rows in tables.values()], window_px)
+    for k, (name, rows) in enumerate(tables.items()):
+        progress("levels", k, len(tables))
+        _compare(work, rows)
+        for row in rows[1:]:
+            work.time(row)
+        if name != PIPELINE:
+            _measure_flicker(work, rows[1:])
+    progress("levels", len(tables), len(tables))
+    pipelines = tables.pop(PIPELINE, [])[1:]
+    return Measurements(
+        samples,
+        [r for n, rows in tables.items() for r in rows[n in ALWAYS :]],
+        sorted(pipelines, key=lambda r: r.seconds),
+        {i: frame.window for i, frame in work.frames.items()},
+        work.first.prepared.prepare_s,
+    )
 
 
 def _choose_windows(
     work: _Work, sets: Sequence[Levels], window_px: int | None
 ) -> None:
     """As `measure` says, and at most MOST_PX."""
-    frames, first, times = work.frames, work.sampled[0], work.times
+    first, times = work.first, work.times
     area = float(MOST_PX if window_px is None else window_px)
     if window_px is None:
         chains = [first.chain(levels, work.stages(levels)) for levels in sets]
         steps = {c[: k + 1] for c in chains for k in range(len(c))}
-        per_px = len(frames) * sum(
+        count = len(work.frames) + (work.following is not None)
+        per_px = count * sum(
             times.predicted(c).seconds / planned(first, c[-1][0]).area
             for c in filter(times.is_slow, steps)
         )
         least = float(divide(REFERENCE_S, per_px, where_zero=area))
         area = min(area, max(least, LEAST_PX))
-    for i in frames:
-        shown = frames[i - 1] if i == work.following else frames[i]
-        window = window_of(shown.plan, shown.facts, work.job.inputs.camera.rect, area)
-        frames[i] = replace(frames[i], window=window)
+    for i, frame in work.frames.items():
+        window = window_of(frame.plan, frame.facts, work.job.inputs.camera.rect, area)
+        work.frames[i] = replace(frame, window=window)
+    if work.following is not None:
+        work.following = replace(work.following, window=work.first.window)
 
 
-def _of_stage(work: _Work, name: str, found: Measurements) -> list[Row]:
-    """A row for each level, the reference's too, against the reference with all other
-    stages at their usual level; the first tells what leaving out the effect would change,
-    where a job can do without."""
-    stage, usual, best = work.job.stages[name], work.usual, work.reference(name)
+def _levels_of(work: _Work, name: str) -> list[Row]:
+    """A job without the effect, the effect under its other formula, and each of its levels,
+    the reference last, with all other stages at their usual level.
+    """
+    stage, usual = work.job.stages[name], work.usual
     formula = getattr(stage.params, "formula", "")
-    rows = [
-        Row(name, level, formula, levels={**usual, name: level})
-        for level in stage.levels
-    ]
-    levels = list(rows)
     without = {n: level for n, level in usual.items() if n != name}
-    if name not in ALWAYS:
-        rows.insert(0, Row(name, LEFT_OUT, formula, levels=without))
-    _compare(work, rows)
-    for row in levels:
-        work.time(row)
-    for i in rows[-1].by_frame:
-        worst = max(levels[:-1], key=lambda r: r.by_frame[i].p99, default=None)
-        if worst is not None:
-            frame = work.frames[i]
-            chain = frame.chain(best, work.stages(best))
-            coverage = frame.layer(chain, Layer.COVERAGE)
-            location = _location(worst.by_frame[i], coverage)
-            found.locations.setdefault((name, worst.level), location)
-    _measure_flicker(work, levels)
-    return rows
+    return [
+        Row(name, LEFT_OUT, formula, levels=without),
+        *_other_formula(work, name, [name]),
+        *(
+            Row(name, level, formula, levels={**usual, name: level})
+            for level in stage.levels
+        ),
+    ]
+
+
+def _other_formula(work: _Work, name: str, stages: Collection[str]) -> list[Row]:
+    """A row of these stages under their other formula, at usual levels or the nearest that
+    they have then; none where no stage has another.
+    """
+    found = {n: under_other_formula(n, work.job.stages[n].params) for n in stages}
+    other = {n: stage for n, stage in found.items() if stage is not None}
+    if not other:
+        return []
+    own = {**work.job.stages, **other}
+    levels = {n: level_named(own[n].levels, at) for n, at in work.usual.items()}
+    formula = next(iter(other.values())).params.formula
+    level = levels.get(name, "usual")
+    return [Row(name, level, formula, levels=levels, other=other)]
 
 
 def _compare(work: _Work, rows: Sequence[Row]) -> None:
-    """Note the pictures of rows of one name, and how far they are from the reference's,
-    where it changes anything: what is there without the effect, or the frame as it was.
+    """Note the pictures of rows of one name, and how far they are from the reference's, the
+    last, where any is another.
     """
-    name = rows[0].name
-    for i, frame in zip(work.samples, work.sampled, strict=True):
-        if name not in {PIPELINE, *(s.stage for s in frame.plan.steps)}:
+    for i, frame in work.frames.items():
+        if rows[0].name not in {PIPELINE, *(s.stage for s in frame.plan.steps)}:
             continue
-        reference, without = work.image(frame, work.reference(name)), frame.original()
-        if name != PIPELINE:
-            left = {n: at for n, at in work.usual.items() if n != name}
-            without = work.image(frame, left)
         for r in rows:
-            r.pictures[i] = work.image(frame, r.levels, r.other)
-        where = touched(
-            (reference, without), *((reference, r.pictures[i]) for r in rows)
-        )
+            r.pictures[i] = work.image(frame, r)
+        reference = rows[-1].pictures[i]
+        where = touched(*((reference, r.pictures[i]) for r in rows))
         for r in rows:
             r.by_frame[i] = difference(reference, r.pictures[i], where)
 
@@ -288,52 +303,27 @@ def _measure_flicker(work: _Work, rows: Sequence[Row]) -> None:
     """How much each level changes from one frame to the next beyond the footage's own
     motion, beside its reference, the last.
     """
-    first = work.samples[0]
-    if work.following is None or first not in rows[0].pictures:
+    a, b = work.first, work.following
+    if b is None or a.facts.index not in rows[0].pictures:
         return
-    a, b = work.frames[first], work.frames[work.following]
-    where = touched((rows[-1].pictures[first], a.original()))
+    where = touched((rows[-1].pictures[a.facts.index], a.original()))
     plates = a.original(), b.original()
     values = [
-        mean_flicker(work.image(a, r.levels), work.image(b, r.levels), *plates, where)
-        for r in rows
+        mean_flicker(work.image(a, r), work.image(b, r), *plates, where) for r in rows
     ]
     for r, value in zip(rows, values, strict=True):
         r.flicker = (value, values[-1])
 
 
-def _location(d: Difference, coverage: ndarray) -> str:
-    """Where a difference is largest, in words."""
-    x, y = d.worst_px
-    edge = np.asarray((coverage > 0.02) & (coverage < 0.98)).astype(np.uint8)
-    if cv2.dilate(edge, np.ones((5, 5), np.uint8))[y, x]:
-        return "at the silhouette"
-    return "on the object" if coverage[y, x] > 0.5 else "beside the object"
-
-
-def _of_other_formula(work: _Work, name: str, other: Mapping[str, Stage]) -> Row:
-    """An effect, or the whole pipeline, under the other formula, at usual levels or the nearest
-    that its stages have, against the job's own reference.
-    """
-    stages = {**work.job.stages, **other}
-    levels = {n: level_named(stages[n].levels, at) for n, at in work.usual.items()}
-    formula = next(iter(other.values())).params.formula
-    row = Row(name, levels.get(name, "usual"), formula, levels=levels, other=other)
-    _compare(work, [row])
-    work.time(row)
-    return row
-
-
 def _pipelines(work: _Work) -> list[Row]:
-    """Those that have a quality's name, cheapest first."""
-    stages = work.job.stages
-    named: dict[tuple[str, ...], Row] = {}
+    """The frame as it was, all under the other formula, and those that have a quality's name,
+    the reference last."""
+    rows: dict[tuple[str, ...], Row] = {(): Row(PIPELINE, LEFT_OUT, "")}
     for quality in QUALITIES:
-        levels = {n: level_named(stages[n].levels, quality) for n in work.usual}
+        levels = {
+            n: level_named(work.job.stages[n].levels, quality) for n in work.usual
+        }
         row = Row(PIPELINE, quality, "", levels=levels)
-        named.setdefault(tuple(levels.values()), row)
-    rows = list(named.values())
-    _compare(work, rows)
-    for row in rows:
-        work.time(row)
-    return sorted(rows, key=lambda r: r.seconds)
+        rows.setdefault(tuple(levels.values()), row)
+    left_out, *own = rows.values()
+    return [left_out, *_other_formula(work, PIPELINE, work.usual), *own]

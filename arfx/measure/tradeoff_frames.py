@@ -13,7 +13,12 @@ from arfx.core.rect import Rect
 
 NAMES = ("share of the picture", "distance, m", "light", "motion, px")
 # what is unusual, by NAMES
-SIDES = (("small", "large"), ("near", "far"), ("dark", "bright"), ("slow", "fast"))
+SIDES = (
+    ("small", "large"),
+    ("near", "far"),
+    ("dark", "bright"),
+    ("sharp", "blurred"),
+)
 
 
 @dataclass(frozen=True)
@@ -30,16 +35,10 @@ def describe(
 ) -> tuple[list[FrameFacts], ndarray]:
     """The frames that show the object, and (n, 4) what is known of each: NAMES."""
     shown = [f for f in facts if f.visible and f.camera_from_world is not None]
-    middles = {
-        f.index: np.mean([m.corners_px for m in f.markers], axis=(0, 1))
-        for f in facts
-        if f.markers
-    }
+    blurs = [f.blur_px for f in shown if f.blur_px is not None]
+    usual = float(np.median(blurs or 0.0))  # of frames whose blur is not known
     rows = []
     for f in shown:
-        motion = 0.0
-        if f.index in middles and f.index - 1 in middles:
-            motion = float(np.linalg.norm(middles[f.index] - middles[f.index - 1]))
         lights = (
             []
             if f.light is None
@@ -47,7 +46,7 @@ def describe(
         )
         light = float(sum(np.mean(rgb) for rgb in lights)) if lights else 1.0
         share = f.model_box.clip(frame).area / frame.area
-        blur = motion if f.blur_px is None else float(f.blur_px)
+        blur = usual if f.blur_px is None else f.blur_px
         rows.append((share, sum(f.depth_range_m) / 2, light, blur))
     return shown, np.array(rows, float).reshape(-1, len(NAMES))
 

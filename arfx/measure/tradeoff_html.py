@@ -3,7 +3,6 @@
 Tables, plots, pictures side by side with their error maps times eight.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,50 +12,34 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 from numpy import ndarray
 
-from arfx.core.cost import Prediction
-from arfx.errors import RenderError
 from arfx.measure.difference import delta_e
 from arfx.measure.plots import INK, PREDICTED, png, styled
 from arfx.measure.pose_plot import RAW, SMOOTH
 from arfx.measure.report import write_json
-from arfx.measure.tradeoff import Measurements
-from arfx.measure.tradeoff_pipelines import LEFT_OUT, QUALITIES, Row, front
+from arfx.measure.tradeoff import LEFT_OUT, QUALITIES, Measurements, Row, front
 from arfx.run.folder import write
 from arfx.run.pages import render
 from arfx.run.planned import Job
 
 TIMES, MOST_DELTA_E = 8, 10
-MOST_BYTES = 5_000_000
 
 
 def write_tradeoff(
     folder: Path, found: Measurements, document: Mapping[str, Any]
 ) -> Path:
-    """Write tradeoff.json and tradeoff.html into `folder`; the page has at most MOST_BYTES:
-    pictures are coded coarser until it fits. Returns its path.
-    """
+    """Write tradeoff.json and tradeoff.html into `folder`. Returns the page's path."""
     write_json(folder / "tradeoff.json", document)
-    for quality in (90, 75, 55, 30):
-        html = page(found, document, quality)
-        if len(html.encode()) <= MOST_BYTES:
-            break
-    else:
-        raise RenderError(
-            "tradeoff.html would be larger than 5 MB", "--frames 2 measures fewer"
-        )
-    write(folder / "tradeoff.html", html)
+    write(folder / "tradeoff.html", page(found, document))
     return folder / "tradeoff.html"
 
 
-def page(found: Measurements, document: Mapping[str, Any], quality: int = 90) -> str:
-    """quality : of the JPEG pictures, 0 to 100"""
+def page(found: Measurements, document: Mapping[str, Any]) -> str:
     return render(
         "measure/tradeoff.html",
         clip=Path(str(document["clip"])).name,
         document=document,
         effects=found.effects,
         pipelines=found.pipelines,
-        quality=quality,
         error_plot=error_plot,
         most_different=most_different,
         error_map=error_map,
@@ -110,9 +93,8 @@ def error_plot(rows: Sequence[Row], title: str) -> bytes:
             *np.reshape(points, (-1, 2)).T, style, color=colour, ms=5, label=label
         )
     for r in [*own, *other]:
-        name = f"{r.formula} {r.level}" if r.other else r.level
         axis.annotate(
-            name,
+            f"{r.formula} {r.level}" if r.other else r.level,
             _point(r),
             (4, -11),
             textcoords="offset points",
@@ -204,7 +186,9 @@ def recommendation(found: Measurements) -> str:
     and what would; where all show, the nearest, and whose difference it is. Said too where
     so little of the picture was compared that other parts of it may differ otherwise.
     """
-    by_quality = {r.level: r for r in found.pipelines if r.level in QUALITIES}
+    by_quality = {
+        r.level: r for r in found.pipelines if r.level in QUALITIES and not r.other
+    }
     reference = by_quality.pop("reference", None)
     others = sorted(by_quality.values(), key=lambda r: r.seconds)
     good = next((r for r in others if not visible(r)), None)
@@ -219,33 +203,9 @@ def recommendation(found: Measurements) -> str:
         reference=reference,
         chosen=chosen,
         good=good,
-        share=_share(chosen.time, reference.time) if chosen and reference else "",
         shows=shows,
-        place=found.locations.get((shows.name, shows.level), "") if shows else "",
         most=max(own, key=lambda r: r.average("mean"), default=None),
         window=min(found.windows.values(), key=lambda w: w.area, default=None),
         seen=SEEN_MEAN,
         few=FEW_PX,
     ).strip()
-
-
-def _share(part: Prediction, whole: Prediction) -> str:
-    """ "1/40", with where it lies nine times in ten if the ends differ in two figures."""
-    if part.seconds <= 0 or whole.seconds <= 0:
-        return "a part"
-    ratio = whole.seconds / part.seconds
-    if ratio < 1.5:
-        return f"{100 / ratio:.0f} %"
-    # parts of one machine that is slower or faster are so alike: what is left is each one's
-    # own error
-    apart = math.hypot(
-        math.log(part.high_s / part.seconds), math.log(whole.high_s / whole.seconds)
-    )
-    low, high = _two(ratio * math.exp(-apart)), _two(ratio * math.exp(apart))
-    return f"1/{_two(ratio)}" + ("" if low == high else f" (1/{low} to 1/{high})")
-
-
-def _two(value: float) -> str:
-    """Two figures."""
-    digits = max(math.floor(math.log10(value)) - 1, 0)
-    return f"{round(value / 10**digits) * 10**digits:.0f}"

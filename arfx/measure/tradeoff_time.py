@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from arfx.core.cost import Prediction, Prices, measured, sum_independent, with_spread
+from arfx.core.cost import Prediction, Prices, measured, with_spread
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.stage import Stage
 from arfx.measure.steps import Chain, FrameRenderer
@@ -19,7 +19,6 @@ from arfx.plan.levels import sum_correlated
 from arfx.plan.planner import terms_of
 
 LEAST_SPREAD = 0.08  # of log seconds: no machine repeats itself better
-OFTEN = 0.02  # fraction of frames under a new light from which on its cost is one of every frame
 ONCE_S = 3.0  # a run that took longer is not made again
 SLOW_S = 2.0  # a reference that takes longer is predicted
 
@@ -28,12 +27,12 @@ SLOW_S = 2.0  # a reference that takes longer is predicted
 class Times:
     """Of levels upon the steps before them.
 
-    frames : whole;  new : by stage, fraction of the clip's frames under a light that was not
-    met before
+    frames : whole;  new : terms of the light that was not met before, by number of the
+    frame, as of `new_terms`
     """
 
     frames: Sequence[FrameRenderer]
-    new: Mapping[str, float]
+    new: Mapping[int, frozenset[str]]
     prices: Prices
     clock: Stopwatch = PROCESSOR
     known: dict[Chain, Prediction] = field(default_factory=dict)
@@ -50,13 +49,9 @@ class Times:
             scene = frame.prepared.scene
             out = planned(frame, stage)
             need = stage.needs(out, frame.facts, scene, level).union(out)
-            terms = terms_of(need.clip(scene.camera.rect), frame.facts, scene)
-            new = {
-                t: self.new.get(stage.name, 0.0)
-                for t in stage.terms
-                if t.startswith("new_")
-            }
-            price = self.prices.predict(f"{stage.name}/{level}", {**terms, **new})
+            new = self.new[frame.facts.index]
+            terms = terms_of(need.clip(scene.camera.rect), frame.facts, scene, new)
+            price = self.prices.predict(f"{stage.name}/{level}", terms)
             if price is not None and not out.empty:
                 found.append(price)
         return mean(found)
@@ -72,7 +67,6 @@ class Times:
     def _measured(self, chain: Chain) -> Prediction:
         stage = chain[-1][0]
         known: list[float] = []
-        added: list[float] = []
         for frame in self.frames:
             out = planned(frame, stage)
             if out.empty:
@@ -82,14 +76,11 @@ class Times:
             # loads code, and makes what is kept for this light
             seconds = self.clock.of(rerun)
             if not known or seconds <= ONCE_S:
+                if not self.new[frame.facts.index].isdisjoint(stage.terms):
+                    run.at.memo.of_light.clear()
                 seconds = self.clock.of(rerun)
             known.append(seconds)
-            fraction = self.new.get(stage.name, 0.0)
-            if fraction > OFTEN and seconds <= ONCE_S:
-                run.at.memo.of_light.clear()
-                added.append(fraction * max(self.clock.of(rerun) - seconds, 0.0))
-        parts = [float(np.mean(times)) for times in (known, added) if times]
-        return sum_independent(with_spread(s, LEAST_SPREAD) for s in parts)
+        return with_spread(float(np.mean(known)) if known else 0.0, LEAST_SPREAD)
 
 
 def fast(stage: Stage, level: str) -> tuple[Stage, str]:

@@ -209,14 +209,11 @@ def compare(
 
 def world_key(world_from_marker: Mapping[str, Pose], truth: Truth) -> str:
     """The marker whose axes are the world's, or else the first configured one that was mapped."""
-    for key, pose in world_from_marker.items():
-        if (
-            key in truth.header["markers"]
-            and np.linalg.norm(pose.rotvec) < 1e-9
-            and np.linalg.norm(pose.translation_m) < 1e-9
-        ):
-            return key
-    return next(k for k in truth.header["markers"] if k in world_from_marker)
+    keys = [key for key in truth.header["markers"] if key in world_from_marker]
+    origin = Pose.identity().matrix
+    return min(
+        keys, key=lambda k: not np.allclose(world_from_marker[k].matrix, origin)
+    )
 
 
 def exceeded(figures: Mapping[str, Any], bounds: Mapping[str, Any]) -> list[str]:
@@ -266,11 +263,10 @@ def light_errors(
     normals, all channels
     bias_grey : error of the camera's bias in 8-bit sRGB steps above its true value, worst channel
     size_deg : claimed less true angular size, median"""
-    angles, sizes, irradiance, bias, false, frames = [], [], [], [], 0, 0
+    angles, sizes, irradiance, bias, false = [], [], [], [], 0
     for fact, frame in zip(facts, truth.frames, strict=True):
         if fact.light is None:
             continue
-        frames += 1
         coded_bias = (
             SRGB.encode(np.array(rgb)) for rgb in (fact.bias_rgb, frame.bias)
         )
@@ -291,10 +287,10 @@ def light_errors(
         angles.append(off[nearest])
         sizes.append(claimed.angular_size_deg - lamps[nearest]["angular_size_deg"])
         false += off[nearest] > max(FALSE_FACTOR * claimed.confidence_deg, FALSE_DEG)
-    if not frames:
+    if not bias:
         return None
     out: dict[str, Any] = {
-        "frames": frames,
+        "frames": len(bias),
         "measured": len(angles) + false * (not angles),
         "false": int(false),
         "bias_grey": float(np.median(bias)),

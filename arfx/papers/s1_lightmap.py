@@ -23,7 +23,6 @@ from arfx.core.layers import Layers
 from arfx.core.light import harmonics
 from arfx.core.numerics import divide, normalise
 from arfx.core.stage import View
-from arfx.errors import RenderError
 from arfx.stages.light.beams import FrameLight
 from arfx.stages.lightmap import Lightmap
 from arfx.stages.lightmap.shading import Surface
@@ -45,14 +44,6 @@ def printed_map(light_map_: CubeMap | None) -> tuple[ndarray, ndarray] | None:
     axes = np.reshape(
         np.eye(3) if light_map_.axes is None else light_map_.axes, (3, 3)
     )
-    if (
-        cube.shape[1] < 2
-        or not np.isfinite(cube).all()
-        or not np.isfinite(axes).all()
-    ):
-        raise RenderError(
-            "facts: the light map needs faces of finite numbers, 2 x 2 or more"
-        )
     return cube, axes
 
 

@@ -60,6 +60,11 @@ class PrintedWatercolorParams(ToonSettings):
         0.12, "coded value from which an edge is drawn", ge=0, le=2
     )
 
+    def grid(self, rect: Rect) -> tuple[int, int]:
+        """Rows and columns of cells."""
+        m = self.m or max(round(rect.height / self.cell_px), 1)
+        return m, self.n or max(round(rect.width / self.cell_px), 1)
+
 
 # 3.1.1 Voronoi diagram
 
@@ -217,22 +222,25 @@ class PrintedWatercolor(Watercolor):
         return None
 
     def run(self, view: View, prepared: None) -> Mapping[Layer, ndarray]:
-        p = self.params
         coded = self.frame(view)
         out = self.cells(view, coded)
-        out[eq4_edges(coded, p.alpha, p.beta, p.yuv) > p.line_threshold] = 0
+        out[self.edges(coded)] = 0
         return {Layer.IMAGE: SRGB.decode(out).astype(np.float32)}
 
     def cells(self, view: View, coded: ndarray) -> ndarray:
         """(h, w, 3) the coded picture in the mean colours of its cells."""
         p = self.params
         rect = view.rect
-        m = p.m or max(round(rect.height / p.cell_px), 1)
-        n = p.n or max(round(rect.width / p.cell_px), 1)
+        m, n = p.grid(rect)
         buffer = depth_buffer(view, p.near_m)
         sites, labels = voronoi(buffer, rect, m, n, view.key)
         number, count = named_by_colour(coded, labels, sites, rect)
         return mean_colours(coded, [number], count)[0][number]
+
+    def edges(self, coded: ndarray) -> ndarray:
+        """(h, w) bool"""
+        p = self.params
+        return eq4_edges(coded, p.alpha, p.beta, p.yuv) > p.line_threshold
 
     def frame(self, view: View) -> ndarray:
         """(h, w, 3) float32 coded: real scene and object, which is toon-shaded."""

@@ -1,9 +1,20 @@
-"""What a paper's module yields: rows of the table, figures and plots."""
+"""Rows of a paper's table: what it states, beside what the program gives.
 
-import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+What it states is in NAME.toml beside its module. The file's [[stated]] are groups of items that
+share all but what is printed:
+
+printed : words, or a number with its digits, "58.7", or two, "9–13";  unit;  title : of pictures
+reason : why it was not found;  tolerance : in place of half the last printed digit
+below : it was found where all values are
+
+These texts name in braces what a module gives with its values."""
+
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
 from decimal import Decimal
+from functools import cache, partial
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,10 +34,11 @@ BEFORE, PRINTED, CORRECTED, REFERENCE = (
 )  # names of a figure's pictures
 
 Value = float | str | None
+Pictures = Mapping[str, ndarray]
+NONE: Pictures = MappingProxyType({})
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """One thing that a paper states, beside what the program gives. The values are numbers,
     or words where there is no number.
 
@@ -39,111 +51,112 @@ class Row:
     leaves open what had to be chosen;
     UNDERIVED where something is printed that nothing in the paper leads to
     reason : why, for all but HOLDS
-
-    Raises ValueError where these do not fit together."""
+    pictures : of the item, side by side, under a title: by name, in order, (h, w, 3) uint8 sRGB,
+    or coded values 0..1, also (h, w). BEFORE, PRINTED, CORRECTED and REFERENCE where there are
+    such; any other name is its caption. PRINTED and CORRECTED get maps of their difference from
+    REFERENCE, without one CORRECTED gets that from PRINTED; those three are of one size"""
 
     item: str
     printed: Value
     paper_formula: Value
     corrected: Value
-    reason: str = ""
-    unit: str = ""
-    verdict: str = DIFFERS
-
-    def __post_init__(self) -> None:
-        if self.verdict != HOLDS and not self.reason.strip():
-            raise ValueError(
-                f"{self.item}: the verdict {self.verdict!r} has no reason"
-            )
-        for value in (self.printed, self.paper_formula, self.corrected):
-            if isinstance(value, float) and not math.isfinite(value):
-                raise ValueError(
-                    f"{self.item}: {value} is not finite; say it in words"
-                )
+    unit: str
+    verdict: str
+    reason: str
+    title: str
+    pictures: Pictures
 
 
-def half_digit(printed: str) -> float:
-    """Half a unit of the last digit of a number as it is printed: "58.7" -> 0.05"""
-    return 0.5 * 10.0 ** int(Decimal(printed).as_tuple().exponent)
+Items = Iterator[Row]
+
+
+@cache
+def statements(paper: str) -> Mapping[str, Mapping[str, Any]]:
+    """What is stated of each item, as in the paper's file."""
+    file = Path(__file__).with_name(f"{paper}.toml")
+    groups = tomllib.loads(file.read_text(encoding="utf-8"))["stated"]
+    return {
+        item: {**group, "printed": printed}
+        for group in groups
+        for item, printed in group["printed"].items()
+    }
+
+
+def rows_of(paper: str) -> Callable[..., Row]:
+    """`row` of a paper's items."""
+    return partial(row, statements(paper))
 
 
 def row(
+    stated: Mapping[str, Mapping[str, Any]],
     item: str,
-    printed: Value,
     values: Any,
-    unit: str = "",
-    reason: str = "",
     holds: Any = None,
-    tolerance: float | None = None,
-    below: float | None = None,
+    pictures: Pictures = NONE,
+    **words: Any,
 ) -> Row:
     """A row whose verdict follows from its values.
 
     values : by the printed and by the corrected method, or by the printed one alone; where
     that is None, UNDERIVED
-    reason : why, for all but HOLDS; else it is left out
-    holds : whether what is printed was found; None = where the values agree with it: words
-    that are the same, or, for a number as it stands there, "58.7", what rounds to its digits
-    tolerance : in place of half its last digit;  below : it was found where all values are
+    holds : whether what is printed was found; None = where the values agree with it
+    words : that the item's texts name
     """
     pair = values if np.ndim(values) else (values, None)
     of_paper, corrected = (
         v.item() if isinstance(v, (np.generic, ndarray)) else v for v in pair
     )
-    known: list[Any] = [value for value in (of_paper, corrected) if value is not None]
-    if below is not None:
-        holds = max(known) < below
-    if holds is None and isinstance(printed, str):
-        number = as_number(printed)
-        if number is None:
+    known = [value for value in (of_paper, corrected) if value is not None]
+    own: dict[str, Any] = {
+        name: text.format(**words) if isinstance(text, str) else text
+        for name, text in stated[item].items()
+    }
+    printed = own["printed"]
+    if holds is None and "below" in own:
+        holds = max(known) < own["below"]
+    elif holds is None:
+        between = range_of(printed, own.get("tolerance"))
+        if between is None:
             holds = all(value == printed for value in known)
         else:
-            within = half_digit(printed) if tolerance is None else tolerance
+            low, high = between
             holds = all(
-                isinstance(value, (int, float))
-                and abs(value - number) <= within * (1 + 1e-9)
+                isinstance(value, (int, float)) and low <= value <= high
                 for value in known
             )
-            printed = number
+            printed = printed if "–" in printed else float(printed)
     verdict = UNDERIVED if of_paper is None else HOLDS if holds else DIFFERS
-    reason = "" if verdict == HOLDS else reason
-    return Row(item, printed, of_paper, corrected, reason, unit, verdict)
+    return Row(
+        item,
+        printed,
+        of_paper,
+        corrected,
+        own.get("unit", ""),
+        verdict,
+        "" if verdict == HOLDS else own.get("reason", ""),
+        own.get("title", ""),
+        pictures,
+    )
 
 
-def as_number(text: str) -> float | None:
+def range_of(
+    printed: str, tolerance: float | None = None
+) -> tuple[float, float] | None:
+    """What rounds to the digits of a number, "58.7", or lies between two, "9–13"; None for
+    words. tolerance : in place of half the last digit
+    """
     try:
-        value = float(text)
+        low, high = (float(end) for end in (printed.split("–") * 2)[:2])
     except ValueError:
         return None
-    return value if math.isfinite(value) else None
+    if low < high:
+        return low, high
+    half_digit = 0.5 * 10.0 ** int(Decimal(printed).as_tuple().exponent)
+    within = (tolerance or half_digit) * (1 + 1e-9)
+    return low - within, high + within
 
 
-class Figure(NamedTuple):
-    """Pictures of a figure of a paper, side by side.
-
-    item : of the row that speaks of it;  title : what is seen
-    pictures : by name, in order, (h, w, 3) uint8 sRGB, or coded values 0..1, also (h, w).
-    BEFORE, PRINTED, CORRECTED and REFERENCE where there are such; any other
-    name is its caption. PRINTED and CORRECTED get maps of their difference from REFERENCE,
-    without one CORRECTED gets that from PRINTED; those three are of one size"""
-
-    item: str
-    title: str
-    pictures: Mapping[str, ndarray]
-
-
-class Plot(NamedTuple):
-    """A plot in place of a table or curve.
-
-    item : of a row that speaks of it;  figure : of matplotlib
-    """
-
-    item: str
-    title: str
-    figure: Any
-
-
-def errors(made: Mapping[str, ndarray], before: ndarray, least: float) -> list[float]:
+def errors(made: Pictures, before: ndarray, least: float) -> list[float]:
     """Mean grey levels of the PRINTED and the CORRECTED picture from REFERENCE, where any of them
     changes the frame by more than `least`."""
     on = np.max([level_difference(own, before) for own in made.values()], 0) > least
@@ -159,7 +172,3 @@ def eight_bit(coded: ndarray) -> ndarray:
         return coded
     out = np.round(255 * np.clip(coded, 0, 1)).astype(np.uint8)
     return out if out.ndim == 3 else np.dstack([out] * 3)
-
-
-Item = Row | Figure | Plot
-Items = Iterator[Item]

@@ -5,7 +5,6 @@ The reference of a picture is the corrected method at its highest level, told th
 lamp."""
 
 from functools import reduce
-from pathlib import Path
 from typing import NamedTuple
 
 import cv2
@@ -26,30 +25,27 @@ from arfx.reproduce.rows import (
     CORRECTED,
     PRINTED,
     REFERENCE,
-    Figure,
     Items,
     errors,
-    row,
+    rows_of,
 )
-from arfx.reproduce.work import AS_PRINTED, DEFAULTS, Settings, Shot, Work
+from arfx.reproduce.work import (
+    AS_PRINTED,
+    DEFAULTS,
+    Settings,
+    Shot,
+    Work,
+    scene_named,
+)
+from arfx.synth.description import SceneFile
 
-SCENE = Path(__file__).with_name("scenes") / "turned-card.toml"
+row = rows_of("s1")
+
 KEYS, REST_FRAMES, FPS = 27, 2, 24.0  # of the card: it rests in the last frames
 NO_SHADOW: Settings = {"lightmap": {"shadow_strength": 0.0, "self_shadow": 0.0}}
 METHODS = AS_PRINTED, DEFAULTS
 HEMISPHERE_PX = 320  # a side of its picture
-# between neighbouring triangles' middles: a direction cannot be found better by peaks
-NEAR_DEG = 8.0
-TABLE_1 = {  # model: faces, frames per second, MB
-    "apple": (4000, (9, 13), 60),
-    "teapot": (6000, (9, 12), 64),
-    "aeroplane": (21000, (8, 10), 77),
-}
-LUMPS = (
-    "M has a cusp (8) at every normal that was shown and is in units of the first picture's"
-    " light (ρ as brightness); lights are its peaks (9), and what a shadow takes is not"
-    " printed"
-)
+MODELS = "apple", "teapot", "aeroplane"  # of table 1
 
 
 class Lamp(NamedTuple):
@@ -73,12 +69,9 @@ def rows(work: Work) -> Items:
     first, second = (Situation(work, lamp) for lamp in SITUATIONS)
     yield from equation_3(first)
     yield from figure_1(first)
-    words = "shading without shadow"
-    yield from pictures(first, NO_SHADOW, {"figure 2 (a)": words})
-    words = "the shadow of one situation"
-    shading = {"figure 2 (b)": "shading and shadow", "figure 3 (a)": words}
-    yield from pictures(first, DEFAULTS, shading)
-    yield from pictures(second, DEFAULTS, {"figure 3 (b)": words})
+    yield from pictures(first, NO_SHADOW, "figure 2 (a)")
+    yield from pictures(first, DEFAULTS, "figure 2 (b)", "figure 3 (a)")
+    yield from pictures(second, DEFAULTS, "figure 3 (b)")
     yield from table_1(work)
 
 
@@ -126,21 +119,15 @@ def equation_3(situation: Situation) -> Items:
         expected = rho * M + np.array(shot.facts.bias_rgb)
         apart = np.median(np.abs(virtual - expected))
         off.append(100 * apart / np.median(expected))
-    yield row(
-        "equation (3), difference of the object's pixels, highlights included, median",
-        "I = g ρ M(n) + b",
-        off,
-        "%",
-        "highlights, and reflections of the room",
-        below=5,
+    item = (
+        "equation (3), difference of the object's pixels, highlights included, median"
     )
+    yield row(item, off)
 
 
 def figure_1(situation: Situation) -> Items:
-    item = "figure 1, triangles of the hemisphere"
     level = PrintedLightParams().map_level
     middles = hemisphere(level)  # the map's axes
-    yield row(item, "a hemisphere of triangles", len(middles), "", "", True)
     printed, corrected = map(situation.shot, METHODS)
     lamp = situation.lamp_in_world(printed)
     true = Light(AMBIENT, (DirectionalLight(triple(lamp), situation.lamp.rgb),))
@@ -149,25 +136,6 @@ def figure_1(situation: Situation) -> Items:
         CORRECTED: corrected.light,
         REFERENCE: true,
     }
-    yield row(
-        "figure 1, lights of a scene with one lamp",
-        "1",
-        [len(light[name].lights) for name in (PRINTED, CORRECTED)],
-        "",
-        s1_equations.PEAKS,
-    )
-    brightest = (
-        max(light[name].lights, key=lambda li: sum(li.rgb)).unit
-        for name in (PRINTED, CORRECTED)
-    )
-    yield row(
-        "section 4, direction of the lamp: degrees off",
-        "accurate",
-        [np.degrees(angle_between(unit, lamp)) for unit in brightest],
-        "degrees",
-        s1_equations.PEAKS,
-        below=NEAR_DEG,
-    )
     found = printed_map(printed.facts.light_map)
     assert found is not None
     cube, map_from_world = found
@@ -175,16 +143,20 @@ def figure_1(situation: Situation) -> Items:
         name: own.radiance(middles @ map_from_world) for name, own in light.items()
     }
     seen[PRINTED] = look_up(cube, middles)
-    yield Figure(
-        item,
-        "candidate lights seen from above, each as bright as the map there over the map's"
-        " largest; those that are lights have a red border",
-        {
-            name: drawn_hemisphere(
-                level, seen[name], [map_from_world @ li.unit for li in own.lights]
-            )
-            for name, own in light.items()
-        },
+    drawn = {
+        name: drawn_hemisphere(
+            level, seen[name], [map_from_world @ li.unit for li in own.lights]
+        )
+        for name, own in light.items()
+    }
+    item = "figure 1, triangles of the hemisphere"
+    yield row(item, len(middles), True, drawn)
+    claimed = [light[name].lights for name in (PRINTED, CORRECTED)]
+    yield row("figure 1, lights of a scene with one lamp", [*map(len, claimed)])
+    brightest = (max(lights, key=lambda li: sum(li.rgb)).unit for lights in claimed)
+    yield row(
+        "section 4, direction of the lamp: degrees off",
+        [np.degrees(angle_between(unit, lamp)) for unit in brightest],
     )
 
 
@@ -207,11 +179,10 @@ def drawn_hemisphere(level: int, M: ndarray, lights: list[ndarray]) -> ndarray:
     return picture
 
 
-def pictures(
-    situation: Situation, settings: Settings, items: dict[str, str]
-) -> Items:
+def pictures(situation: Situation, settings: Settings, *items: str) -> Items:
     """The last frame by both methods, beside the corrected one at its best, told the true lamp:
-    mean difference where any of them changes the plate. items : what is printed"""
+    mean difference where any of them changes the plate.
+    """
     lamp = situation.lamp
     scaled = situation.work.scaled
     best = {
@@ -228,62 +199,41 @@ def pictures(
     }
     before = situation.clip.frames()[situation.last]
     off = errors(made, before, 2)
-    unit = "grey levels from the reference"
-    for item, printed in items.items():
-        yield row(item, printed, off, unit, LUMPS, below=3)
-    title = f"lamp at azimuth {lamp.azimuth_deg:g}, elevation {lamp.elevation_deg:g} degrees"
-    yield Figure(item, title, {BEFORE: before, **made})
+    for item in items:
+        yield row(item, off, None, {BEFORE: before, **made}, lamp=lamp)
 
 
 def table_1(work: Work) -> Items:
     size_px, frames = work.scaled(((640, 480), 20), ((128, 96), 4))
     clip = work.clip(turned_card(SITUATIONS[0], size_px, frames, samples=1))
     rates = []
-    for name, (faces, (low, high), size_mb) in TABLE_1.items():
+    for name in MODELS:
         count = load_model(work.model(name)).face_count
-        yield row(f"table 1, {name}, faces", str(faces), (count, count))
+        yield row(f"table 1, {name}, faces", (count, count))
         model = model_file(work, name)
         timed = [work.timed(clip, merge(model, own)) for own in METHODS]
         fps = [one.frames_per_s for one in timed]
         rates.append(fps)
-        yield row(
-            f"table 1, {name}, frame rate",
-            f"{low}–{high}",
-            fps,
-            "frames/s",
-            f"this machine and pictures of {size_px[0]} x {size_px[1]}; the paper names"
-            " neither its machine nor its pictures' size. Decoding, analysing, rendering"
-            " and encoding are counted",
-            low <= min(fps) <= max(fps) <= high,
-        )
+        yield row(f"table 1, {name}, frame rate", fps, size_px=size_px)
         yield row(
             f"table 1, {name}, memory",
-            str(size_mb),
             [one.peak_mb for one in timed],
-            "MB",
-            f"{timed[0].start_mb:.0f} MB are Python and its libraries before the job;"
-            " frames that wait for a worker are the rest",
+            start_mb=timed[0].start_mb,
         )
     least = np.min(rates, axis=0)
-    yield row(
-        "section 3, least frame rate",
-        "8",
-        least,
-        "frames/s",
-        "not every model reaches the printed rate on this machine",
-        min(least) >= 8,
-    )
+    yield row("section 3, least frame rate", least, min(least) >= 8)
 
 
 def turned_card(
     lamp: Lamp, size_px: tuple[int, int], frames: int, samples: int = 2
-) -> str:
+) -> SceneFile:
     """A scene whose card shows normals on a spiral about the line of sight; first and last
     it lies level.
 
     samples : of a pixel, a side"""
     turning_s = (frames - REST_FRAMES) / FPS
-    return SCENE.read_text(encoding="utf-8").format(
+    return scene_named(
+        "turned-card",
         width=size_px[0],
         height=size_px[1],
         frames=frames,

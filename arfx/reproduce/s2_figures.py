@@ -1,7 +1,12 @@
 """Figures of Zhao et al. 2012; rates, at their resolution, and the machine that they were
-taken on."""
+taken on.
+
+They show a real and a virtual ball on a desk, before a dark wall with bright points. The reference
+is a photograph of it by the tracer's own open lens, in which both balls are real."""
 
 import platform
+from collections.abc import Mapping
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,6 +15,7 @@ from numpy import ndarray
 from arfx.core.colour import SRGB, yuv_from_rgb
 from arfx.core.layers import Layer
 from arfx.core.machine import usable_cores
+from arfx.core.settings import converted
 from arfx.papers import PAPER
 from arfx.papers.s2_dof import PrintedDof
 from arfx.reproduce.rows import (
@@ -17,45 +23,46 @@ from arfx.reproduce.rows import (
     CORRECTED,
     PRINTED,
     REFERENCE,
-    Figure,
     Items,
     eight_bit,
-    row,
+    rows_of,
 )
-from arfx.reproduce.s2_scene import (
-    BALL_M,
-    desk,
-    desk_shot,
-    models,
-    moving_desk,
-    moving_settings,
-    photograph,
-    under,
-)
-from arfx.reproduce.work import Shot, Timed, Work, median_s
+from arfx.reproduce.work import Clip, Settings, Shot, Work, median_s, scene_named
+from arfx.run.parameters import parameters, stage_of
 from arfx.stages import STAGES
+from arfx.synth.description import SceneFile
+
+row = rows_of("s2")
+
+FOCUS_M, APERTURE_M = 0.38, 0.014  # nearer than both balls
+# the largest mean filter that Figure 8's block holds
+PRINTED_DOF = {"formula": "paper", "mean_px": 7}
+BALL_M = 0.035  # radius of the virtual ball, which stands on the middle of the marker
+
+STILL = {
+    "path": 'kind = "static"',
+    "frames": 1,
+    "file": "clip.mkv",
+    "depth": '[depth]\nfile = "depth.mkv"',
+}
+DOLLY = 'kind = "dolly"\nend_m = [0.02, -0.5, 0.21]'
+OPEN = f"aperture_m = {APERTURE_M}\nfocus_m = {FOCUS_M}\n"
+BALL = f"""[[sphere]]
+radius_m = {BALL_M}
+position_m = [0, 0, {BALL_M}]
+colour = [0.06, 0.12, 0.75]
+"""
 
 GAUSSIAN = "Gaussian filter of figure 12"
 BRIGHTER = (
     8  # grey levels above the wall, from which a pixel belongs to a bright point
 )
-OPEN_LENS = "the tracer's own open lens"
-NO_CAMERA = (
-    "a photograph by the authors' camera; in its place stands one by an open lens, in which"
-    " both balls are real"
-)
 BALLS_M = {
     "real": ((-0.13, 0.08, 0.04), 0.04),
     "virtual": ((0.0, 0.0, BALL_M), BALL_M),
 }
-Pictures = dict[str, ndarray]
-
-
 PC_MB = 2048.0
-HERE = (
-    "another machine: here the method runs on the cores of a CPU and writes a file without"
-    " loss"
-)
+Pictures = dict[str, ndarray]
 
 
 def rows(work: Work) -> Items:
@@ -69,11 +76,8 @@ def rows(work: Work) -> Items:
         REFERENCE: photograph(work),
     }
     yield from _diagrams()
-    for item, words in (
-        ("figure 4", "photographs with depth of field"),
-        ("figure 16", "a photograph"),
-    ):
-        yield row(item, words, (OPEN_LENS, OPEN_LENS), "", NO_CAMERA)
+    for item in ("figure 4", "figure 16"):
+        yield row(item, ["the tracer's own open lens"] * 2)
     camera_m = np.array(scene.shot[0].path.position_m)
     yield from _coordinates(shot, made[BEFORE], camera_m)
     yield from _steps(shot, made)
@@ -87,47 +91,21 @@ def _diagrams() -> Items:
     order = ", ".join(
         name for name in STAGES if name in ("raster", "composite", "dof")
     )
-    yield row(
-        "figure 1",
-        "capture, virtual scene, interaction, communication, display",
-        ("clip, analysis, " + order, "clip, analysis, " + order),
-        "",
-        "input devices, communication and display are no part of a program that processes"
-        " recorded clips",
-    )
-    yield row(
-        "figure 2",
-        "virtual objects, composition, depth of field",
-        (order, order),
-        "",
-        "",
-        order.endswith("composite, dof"),
-    )
+    yield row("figure 1", [f"clip, analysis, {order}"] * 2)
+    yield row("figure 2", (order, order), order.endswith("composite, dof"))
 
 
 def _coordinates(shot: Shot, picture: ndarray, camera_m: ndarray) -> Items:
     """The axes of the world, drawn into the picture. camera_m : where the camera stands"""
     pose = shot.facts.pose
-    drawn = picture.copy()
-    ends = pose.apply(0.08 * np.vstack([np.zeros(3), np.eye(3)]))
-    points = np.rint(shot.job.scene.camera.project(ends)).astype(int)
-    for end, colour in zip(
-        points[1:], ((220, 40, 30), (40, 170, 40), (40, 60, 220)), strict=True
-    ):
-        cv2.line(drawn, points[0], end, colour, 2, cv2.LINE_AA)
+    drawn = picture[..., ::-1].copy()
+    camera = shot.job.scene.camera
+    placed = pose.rotvec, pose.translation_m
+    cv2.drawFrameAxes(drawn, camera.matrix, np.zeros(4), *placed, 0.08, 2)
     off_mm = 1e3 * np.linalg.norm(pose.inverse().translation_m - camera_m)
     found = f"axes from a marker; the camera is {off_mm:.1f} mm off"
-    yield row(
-        "figure 5",
-        "axes from feature points",
-        (found, found),
-        "",
-        "found from a marker, whose size makes it metric; which feature points the authors"
-        " tracked is not stated",
-    )
-    yield Figure(
-        "figure 5", "axes of the world", {"x red, y green, z blue; 8 cm each": drawn}
-    )
+    pictures = {"x red, y green, z blue; 8 cm each": drawn[..., ::-1]}
+    yield row("figure 5", (found, found), None, pictures)
 
 
 def _steps(shot: Shot, made: Pictures) -> Items:
@@ -142,52 +120,33 @@ def _steps(shot: Shot, made: Pictures) -> Items:
     )
     coded = SRGB.encode(now[Layer.IMAGE]).astype(np.float32)
     blurred = eight_bit(stage.blurred(coded, dioptre))
-    yield row(
-        "figure 6",
-        "depth with blur factor; luminance",
-        f"depth {1 / dioptre.max():.2f}-{1 / dioptre.min():.2f} m, blur factor"
-        f" {a.min():.2f}-{a.max():.2f}, luminance",
-        "",
-        "",
-        bool(0 <= a.min() <= a.max() <= 1),
-    )
     textures = {
         "depth, nearer is brighter": dioptre / dioptre.max(),
         "blur factor a": a,
         "luminance": coded @ yuv_from_rgb("bt601")[0],
         "figure 10, blurred all over": blurred,
     }
-    yield Figure("figure 6", "what the printed method makes on its way", textures)
     yield row(
-        "figure 9",
-        "the scene before",
-        ("a scene of the project", "the same"),
-        "",
-        "",
-        True,
+        "figure 6",
+        f"depth {1 / dioptre.max():.2f}-{1 / dioptre.min():.2f} m, blur factor"
+        f" {a.min():.2f}-{a.max():.2f}, luminance",
+        bool(0 <= a.min() <= a.max() <= 1),
+        textures,
     )
-    apart = _levels(blurred, made[BEFORE])
-    yield row(
-        "figure 10",
-        "blurred all over",
-        f"{apart:.1f} grey levels from figure 9",
-        "",
-        "nothing was blurred",
-        apart > 0.5,
-    )
+    yield row("figure 9", ("a scene of the project", "the same"), True)
+    apart = cv2.absdiff(blurred, made[BEFORE]).mean()
+    yield row("figure 10", f"{apart:.1f} grey levels from figure 9", apart > 0.5)
     sharp, printed, corrected = (
-        _levels(made[name], made[REFERENCE]) for name in (BEFORE, PRINTED, CORRECTED)
+        cv2.absdiff(made[name], made[REFERENCE]).mean()
+        for name in (BEFORE, PRINTED, CORRECTED)
     )
     yield row(
         "figure 11",
-        "like a camera",
         [f"{x:.1f} grey levels from the photograph" for x in (printed, corrected)],
-        "",
-        f"without blur it is {sharp:.1f} away. The printed filter has one size, here 7 px,"
-        " and its blend keeps the sharp picture below the blurred one; the open lens makes"
-        " discs that grow with the distance",
+        None,
+        made,
+        sharp=sharp,
     )
-    yield Figure("figure 11", "sharp and blurred picture blended by (9)", made)
 
 
 def _points(shot: Shot, made: Pictures, points_m: ndarray) -> Items:
@@ -197,32 +156,26 @@ def _points(shot: Shot, made: Pictures, points_m: ndarray) -> Items:
     made = {BEFORE: made[BEFORE], GAUSSIAN: gaussian, **made}
     area = {name: _spread(picture, at) for name, picture in made.items()}
     words = {name: f"bright points of {px:.0f} px each" for name, px in area.items()}
-    apart = _levels(gaussian, made[REFERENCE])
+    apart = cv2.absdiff(gaussian, made[REFERENCE]).mean()
     yield row(
         "figure 12",
-        "Gaussian filter",
         f"{words[GAUSSIAN]}, {apart:.1f} grey levels from the photograph",
-        "",
-        "nothing was spread",
         area[GAUSSIAN] > area[BEFORE],
-    )
-    yield row(
-        "figure 13",
-        "bright points spread more than in figure 12",
-        (
-            f"{words[PRINTED]}, Gaussian {area[GAUSSIAN]:.0f} px",
-            f"{words[CORRECTED]}, photograph {area[REFERENCE]:.0f} px",
-        ),
-        "",
-        "they do not spread more",
-        min(area[PRINTED], area[CORRECTED]) > area[GAUSSIAN],
     )
     pad = 0.06 * made[BEFORE].shape[1]
     low = np.maximum(at.min(0) - pad, 0).astype(int)
     high = (at.max(0) + pad).astype(int)
     part = np.s_[low[1] : high[1], low[0] : high[0]]
     near = {name: p[part].repeat(2, 0).repeat(2, 1) for name, p in made.items()}
-    yield Figure("figure 13", "the bright points, twice as large", near)
+    yield row(
+        "figure 13",
+        (
+            f"{words[PRINTED]}, Gaussian {area[GAUSSIAN]:.0f} px",
+            f"{words[CORRECTED]}, photograph {area[REFERENCE]:.0f} px",
+        ),
+        min(area[PRINTED], area[CORRECTED]) > area[GAUSSIAN],
+        near,
+    )
 
 
 def _in_focus(shot: Shot, before: ndarray) -> Items:
@@ -231,17 +184,8 @@ def _in_focus(shot: Shot, before: ndarray) -> Items:
         CORRECTED: under(shot, CORRECTED, aperture_px=0.4).picture(),
     }
     changed = [(picture != before).mean() for picture in closed.values()]
-    yield row(
-        "figure 14",
-        "all in focus, nothing blurred",
-        [f"{100 * c:.0f} % of the pixels blurred" for c in changed],
-        "",
-        "some pixels changed",
-        not any(changed),
-    )
-    yield Figure(
-        "figure 14", "a real and a virtual (blue) ball, all in focus", closed
-    )
+    found = [f"{100 * c:.0f} % of the pixels blurred" for c in changed]
+    yield row("figure 14", found, not any(changed), closed)
 
 
 def _out_of_focus(shot: Shot, made: Pictures) -> Items:
@@ -257,18 +201,9 @@ def _out_of_focus(shot: Shot, made: Pictures) -> Items:
         words[name] = ", ".join(kept)
     yield row(
         "figure 15",
-        "both balls blurred alike",
         [f"outline keeps: {words[name]}" for name in (PRINTED, CORRECTED)],
-        "",
-        f"of its steepness a ball's outline keeps in the photograph: {words[REFERENCE]}."
-        " As printed outlines stay, since what stands in front does not flow into what is"
-        " behind, and the sharp picture shows through the blend",
+        photographed=words[REFERENCE],
     )
-
-
-def _levels(a: ndarray, b: ndarray) -> float:
-    """Mean difference in grey levels."""
-    return float(np.abs(a.astype(float) - b).mean())
 
 
 def _spread(picture: ndarray, at: ndarray) -> float:
@@ -310,57 +245,99 @@ def rates(work: Work) -> Items:
     )
     size = f"{clip.scene.clip.width}*{clip.scene.clip.height}"
     here = f"{platform.machine()}, {usable_cores()} cores"
-    yield row(
-        "section 4, machine",
-        "Intel Core Duo 2.80 GHz, 2 GB, GeForce 9600 GT",
-        (here, here),
-        "",
-        "another machine, without a graphics processor",
-    )
+    yield row("section 4, machine", (here, here))
     pairs = zip(own, room, strict=True)
     peaks_mb = [max(one.peak_mb for one in pair) for pair in pairs]
     yield row(
         "section 4, memory of the machine",
-        "2 GB",
         [f"at most {mb:.0f} MB used" for mb in peaks_mb],
-        "",
-        "the process with all its libraries needs more than the authors' machine had",
         max(peaks_mb) <= PC_MB,
     )
-    yield row(
-        "section 4, resolution",
-        "1280*1024",
-        (size, size),
-        "",
-        "the short form is smaller",
-    )
+    yield row("section 4, resolution", (size, size))
     augmented = [timed.frames_per_s for timed in own]
     # nothing is filmed and nothing is tracked: the stages alone
     virtual = [1 / sum(timed.stage_s.values()) for timed in room]
-    alone = f"The stages alone, all is a model; {_of_dof(room)}"
-    whole = f"With decoding, tracking and encoding; {_of_dof(own)}"
-    for item, printed, rates, why in (
-        ("section 4, all-virtual scene", 48.0, virtual, alone),
-        ("section 4, augmented reality, GPU", 21.0, augmented, whole),
-        ("section 4, augmented reality, CPU", 14.0, augmented, whole),
-        ("section 5, rate that is needed", 25.0, augmented, whole),
+    alone = "The stages alone, all is a model", virtual, room
+    whole = "With decoding, tracking and encoding", augmented, own
+    for item, least, (counted, rates, timed) in (
+        ("section 4, all-virtual scene", 48, alone),
+        ("section 4, augmented reality, GPU", 21, whole),
+        ("section 4, augmented reality, CPU", 14, whole),
+        ("section 5, rate that is needed", 25, whole),
     ):
-        holds = min(rates) >= printed
-        yield row(item, printed, rates, "fps", f"{HERE}. {why}", holds)
+        dof_ms = [1e3 * one.stage_s["dof"] for one in timed]
+        fast = min(rates) >= least
+        yield row(item, rates, fast, counted=counted, dof_ms=dof_ms)
     decoding = clip.scene.frames / median_s(clip.frames, work.scaled(3, 1))
-    for how, printed in (("DirectShow", 16.0), ("the board's own software", 25.0)):
-        yield row(
-            f"section 4, capture by {how}",
-            printed,
-            None,
-            "fps",
-            f"there is no camera: a clip of this size is decoded at {decoding:.0f} fps here",
-        )
+    for how in ("DirectShow", "the board's own software"):
+        yield row(f"section 4, capture by {how}", None, decoding=decoding)
 
 
-def _of_dof(timed: list[Timed]) -> str:
-    printed, corrected = (1e3 * one.stage_s["dof"] for one in timed)
-    return (
-        f"depth of field takes {printed:.0f} ms of a frame as printed, {corrected:.0f} ms"
-        " corrected"
-    )
+def scene_of(
+    work: Work, full_px: tuple[int, int], samples: int, **parts: Any
+) -> SceneFile:
+    """Scene `desk`: bright points before the wall. parts : of it;  full_px : its size, but in
+    the short form
+    """
+    width, height = work.scaled(full_px, (240, 192))
+    parts = {"lens": "", "ball": "", **parts}
+    return scene_named("desk", width=width, height=height, samples=samples, **parts)
+
+
+def desk(work: Work, samples: int, **parts: str) -> SceneFile:
+    """One frame, with its depth."""
+    return scene_of(work, (400, 320), samples, **STILL, **parts)
+
+
+def photograph(work: Work) -> ndarray:
+    """(h, w, 3) uint8 of what a camera with an open lens sees where the virtual ball is a
+    real one.
+    """
+    return work.clip(desk(work, work.scaled(8, 4), lens=OPEN, ball=BALL)).frames()[0]
+
+
+def desk_shot(work: Work, clip: Clip, model: Mapping[str, Any]) -> Shot:
+    """The frame with a model and the photograph's lens, as printed."""
+    width = clip.scene.clip.width
+    fov = np.radians(clip.scene.lens.fov_deg)
+    infinite_px = float(APERTURE_M * width / 2 / np.tan(fov / 2) / FOCUS_M)
+    dof = {**PRINTED_DOF, "focus": f"{FOCUS_M}m", "aperture_px": infinite_px}
+    return work.shot(clip, {"model": model, "dof": dof})
+
+
+def under(shot: Shot, formula: str, **dof: Any) -> Shot:
+    """The same with depth of field under another formula, and with other settings of it."""
+    now = shot.stages["dof"].params
+    kind = parameters()["dof"][formula]
+    return shot.with_stage(stage_of("dof", converted(now, kind, **dof)))
+
+
+def models(work: Work) -> dict[str, dict[str, Any]]:
+    """Sections `model` of a blue ball, and of one that fills the picture: desk, wall, both balls,
+    all of them virtual.
+    """
+    ball = {"file": work.model("blue-ball"), "fit": f"{2 * BALL_M}m"}
+    offset = ["0m", "0.15m", "-0.01m"]
+    room = {"file": work.model("desk-with-balls"), "fit": "3m", "offset": offset}
+    return {"augmented": ball, "all virtual": room}
+
+
+def moving_desk(work: Work) -> SceneFile:
+    """The same filmed by a moving camera, at the paper's resolution, as coded video and
+    without depth.
+    """
+    moving = {
+        "path": DOLLY,
+        "frames": work.scaled(8, 4),
+        "file": "clip.mp4",
+        "depth": "",
+    }
+    return scene_of(work, (1280, 1024), 1, **moving)
+
+
+def moving_settings(model: Mapping[str, Any], formula: str) -> Settings:
+    lens = {"focus": f"{FOCUS_M}m", "aperture_px": 40.0, "background_m": 1.2}
+    return {
+        "model": model,
+        "dof": {**lens, **(PRINTED_DOF if formula == PAPER else {})},
+    }

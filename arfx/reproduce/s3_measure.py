@@ -11,7 +11,6 @@ import itertools
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
@@ -28,7 +27,7 @@ from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, View
 from arfx.papers import s3_watercolor as paper
 from arfx.papers.s3_watercolor import PrintedWatercolor, PrintedWatercolorParams
-from arfx.reproduce.work import Work
+from arfx.reproduce.work import Work, scene_named
 from arfx.stages.watercolor import Watercolor
 from arfx.stages.watercolor.cells import mean_colours
 from arfx.stages.watercolor.lines import measure_edges
@@ -37,7 +36,6 @@ from arfx.stages.watercolor.sites import STEPS, Sites
 
 CELL_PX = 8
 OBJECTS = ("teapot", "cube", "rabbit")
-SCENE = Path(__file__).with_name("scenes") / "group.toml"
 
 
 class Shown(NamedTuple):
@@ -107,21 +105,13 @@ def shown(work: Work) -> Shown:
     classes paint the same picture.
     """
     width, height = work.scaled((640, 360), (240, 136))
-    clip = work.clip(
-        SCENE.read_text(encoding="utf-8").format(width=width, height=height)
-    )
+    clip = work.clip(scene_named("group", width=width, height=height))
     model = {"file": work.model("group"), "fit": "26cm"}
     shot = work.shot(clip, {"model": model})
     layers = shot.renderer.after(shot.up_to("watercolor")[:-1]).view(
         shot.renderer.window
     )
     return Shown(layers, shot.facts, shot.job.scene, shot.renderer.original())
-
-
-def cells_of(shown: Shown) -> tuple[int, int]:
-    """m, n: rows and columns of cells of about CELL_PX."""
-    rect = shown.layers.rect
-    return max(round(rect.height / CELL_PX), 1), max(round(rect.width / CELL_PX), 1)
 
 
 def printed(**settings: Any) -> PrintedWatercolor:
@@ -163,11 +153,6 @@ def edge_of(
     return float(own), float(corrected * n / 2)
 
 
-def printed_edges(coded: ndarray, p: PrintedWatercolorParams) -> ndarray:
-    """(h, w) bool"""
-    return paper.eq4_edges(coded, p.alpha, p.beta, p.yuv) > p.line_threshold
-
-
 def corrected_lines(shown: Shown) -> ndarray:
     """(h, w) float32 strength of the lines of a frame, 0..1."""
     stage = corrected()
@@ -175,14 +160,10 @@ def corrected_lines(shown: Shown) -> ndarray:
     return stage.lines_of(view, stage.with_toon(view))
 
 
-def change_at_rest(
-    shown: Shown, stage: Watercolor, frames: int
-) -> tuple[float, ndarray]:
-    """Of a resting, noisy camera: mean squared difference from frame to frame, and that of
-    the first two (h, w, 3), coded."""
+def change_at_rest(shown: Shown, stage: Watercolor, frames: int) -> float:
+    """Of a resting, noisy camera: mean squared difference from frame to frame, coded."""
     made = [shown.noisy(100 + k, NOISE).painted(stage) for k in range(frames)]
-    change = np.diff(made, axis=0)
-    return float(np.mean(change**2)), abs(change[0])
+    return float(np.mean(np.diff(made, axis=0) ** 2))
 
 
 def areas_on_plane(bands: int, repeats: int) -> tuple[ndarray, ndarray]:

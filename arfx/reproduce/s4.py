@@ -23,12 +23,13 @@ from arfx.papers.s4_plane import step1_mesh
 from arfx.papers.s4_shadow_maps import step2_radiance
 from arfx.papers.s4_volumes import octree_of, step2_volumes
 from arfx.papers.s4_voxels import Volume
-from arfx.reproduce.rows import Items, Row, row
-from arfx.reproduce.s4_pictures import on_the_plane, pictures
-from arfx.reproduce.s4_scenes import flat_with
+from arfx.reproduce.rows import Items, Row, rows_of
+from arfx.reproduce.s4_pictures import flat_with, on_the_plane, pictures
 from arfx.reproduce.work import Work
 from arfx.stages.gi.health import seam_ratio
 from arfx.stages.gi.reference_scene import RayScene
+
+row = rows_of("s4")
 
 ALBEDO = 0.5  # of the plane
 TOWARDS, RGB = np.array([0.6, 0.0, 0.8]), np.array([0.5, 0.4, 0.3])  # the light
@@ -72,24 +73,10 @@ def plane() -> Items:
     table = find_planes(cloud)[0]
     up = turn[:, 2]
     angle = np.degrees(angle_between(table.normal, up))
-    yield row(
-        "step 1, the likeliest plane: its normal",
-        "normals of points, checked against k neighbours",
-        (angle, angle),
-        "degrees off",
-        "the plane that was found is not the table",
-        below=0.5,
-    )
+    yield row("step 1, the likeliest plane: its normal", (angle, angle))
     found = scene_planes([(depth, pose)], camera)[0].real_plane()
     centre = 1e2 * np.linalg.norm(found.world_from_plane.translation_m[:2])
-    yield row(
-        "step 1, where the object stands",
-        "in the middle of the plane",
-        (centre, centre),
-        "cm from the table's middle",
-        "the middle of what is seen, moved to where it is well inside",
-        below=8,
-    )
+    yield row("step 1, where the object stands", (centre, centre))
 
 
 def light(work: Work) -> Items:
@@ -103,25 +90,11 @@ def light(work: Work) -> Items:
     fields = step2_radiance(made, real, virtual, [(TOWARDS, RGB)])
     V_rho, V_mu, V_delta = (field[lowest] for field in fields)
     shadow = V_delta[made.leaf_of(np.array([[-0.05, 0.0, 1e-6]]))[0], 0]
-    yield row(
-        "step 2, split injection: V_Δ in the object's shadow",
-        "light of R_ρ positive, of R_μ negative",
-        shadow,
-        "red, radiance",
-        "not positive",
-        shadow > 0,
-    )
+    item = "step 2, split injection: V_Δ in the object's shadow"
+    yield row(item, shadow, shadow > 0)
     wrong = (np.abs(V_delta - (V_rho - V_mu)).max(1) > 1e-6).mean()
-    yield row(
-        "equation V_Δ = V_ρ - V_μ: voxels in which it does not hold",
-        "V_Δ = V_ρ - V_μ",
-        wrong,
-        "of 1",
-        "points of light in one voxel overwrite each other, and split injection overwrites"
-        " others than the two volumes do; the corrected method adds light up by area and"
-        " has no such volumes",
-        wrong == 0,
-    )
+    item = "equation V_Δ = V_ρ - V_μ: voxels in which it does not hold"
+    yield row(item, wrong, wrong == 0)
 
 
 def filtering() -> Items:
@@ -129,21 +102,9 @@ def filtering() -> Items:
     cube = Volume(N, (0.0, 0.0, 0.0), 1.0)
     volumes = octree_of(cube, wall, np.zeros(wall.shape), np.ones(len(wall)))
     passes = len(volumes.starts)
-    yield row(
-        "step 2, filter steps of an octree of 5 levels",
-        "n - 1",
-        passes,
-        "",
-        "not 4",
-        passes == 4,
-    )
-    yield row(
-        "step 2, opacity of a wall of one voxel at level 1",
-        "mean of the children",
-        volumes.tree.eta[volumes.rows_of(1), 3].mean(),
-        "",
-        "a mean of eight children lets light through a wall",
-    )
+    yield row("step 2, filter steps of an octree of 5 levels", passes, passes == 4)
+    opacity = volumes.tree.eta[volumes.rows_of(1), 3].mean()
+    yield row("step 2, opacity of a wall of one voxel at level 1", opacity)
 
 
 def memory(work: Work) -> Row:
@@ -151,14 +112,8 @@ def memory(work: Work) -> Row:
     scene = flat_with(work, "red-teapot", "12cm")
     made = step2_volumes(step1_mesh(scene, ALBEDO), scene, 64)
     printed, dense = (size / 2**20 for size in made.memory_bytes(CHANNELS))
-    return row(
-        "step 2, memory of the volumes at 64³ voxels",
-        "empty voxels are not stored",
-        printed,
-        f"MB; arrays of all voxels {dense:.4g}",
-        "as much as arrays of all voxels",
-        printed < 0.2 * dense,
-    )
+    item = "step 2, memory of the volumes at 64³ voxels"
+    return row(item, printed, printed < 0.2 * dense, dense=dense)
 
 
 def environment() -> Items:
@@ -177,49 +132,26 @@ def environment() -> Items:
         ("(34), middle of the picture, mirrored, on +z", 5, (1, 1)),
     )
     for words, face, part in faces:
-        yield row(
-            f"step 3 {words}",
-            "that part of the picture",
-            [np.abs(f[face] - colours[part]).max() for f in folded],
-            "at most off, of 1",
-            "the angle from the line of sight is the distance from the picture's middle, so"
-            " that no edge of the cube shows as a seam",
-            below=1e-6,
-        )
+        off = [np.abs(f[face] - colours[part]).max() for f in folded]
+        yield row(f"step 3 {words}", off)
     mipmap = step3_mipmap(step3_environment(image, FACE_PX))
     formats = [
         f"{a.shape[-1]} x {a.dtype.itemsize * 8} bit {a.dtype.kind}"
         for a in (mipmap[0], CubeMap.of(folded[1]).faces())
     ]
-    yield row(
-        "step 3, format of the cube",
-        "RGBA16",
-        formats,
-        "",
-        "alpha is always 1; floating point holds what is brighter than white",
-        formats[0] == "4 x 16 bit u" == formats[1],
-    )
+    same = formats[0] == "4 x 16 bit u" == formats[1]
+    yield row("step 3, format of the cube", formats, same)
     y, x = np.mgrid[0:180, 0:240] / 40
     smooth = np.stack([np.sin(x + y), np.cos(y), np.sin(x)], -1) / 3 + 0.5
-    yield row(
-        "step 3, seams of the environment",
-        "acceptable for the whole surroundings",
-        [seam_ratio(fold(smooth, SIDE)) for fold in FOLDED],
-        "steps across edges of the cube / within faces",
-        "sides that were cut out of the picture do not meet the mirrored back; the"
-        " corrected fold is continuous",
-        below=1.5,
-    )
+    seams = [seam_ratio(fold(smooth, SIDE)) for fold in FOLDED]
+    yield row("step 3, seams of the environment", seams)
     half_deg = 30
     level = mip_level(half_deg, FACE_PX)
     texel = 4**level * 4 * np.pi / (6 * FACE_PX**2)
     cone = 2 * np.pi * (1 - np.cos(np.radians(half_deg)))
     yield row(
         f"step 4, mip level of a cone of half-angle {half_deg}° at {FACE_PX}² texels",
-        "by the aperture of the cone",
         level,
-        "",
-        "a texel of that level is not as large as the cone",
         abs(texel / cone - 1) < 1e-9,
     )
 
@@ -231,12 +163,5 @@ def covered() -> Row:
     hemisphere = direction_of(k * GOLDEN_RAD, np.arcsin((k + 0.5) / len(k)))
     within = (hemisphere @ directions.T).max(1) > 1 / np.hypot(1, tan_half)
     share = within.mean()
-    return row(
-        "step 4, share of the hemisphere within the wide cones",
-        "cover the whole hemisphere",
-        (share, share),
-        "of 1",
-        "cones of 60° that cover it would overlap; these are tilted and weighted so that"
-        " they leave as much of coarse and fine light as a cosine does",
-        share > 0.99,
-    )
+    item = "step 4, share of the hemisphere within the wide cones"
+    return row(item, (share, share), share > 0.99)

@@ -10,67 +10,58 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from arfx.core.colour import SRGB
 from arfx.core.layers import Layer
 from arfx.core.numerics import normalise
+from arfx.core.scene import Scene
 from arfx.core.stage import level_named
 from arfx.measure.difference import TOUCHED
+from arfx.measure.steps import srgb8
+from arfx.papers import PAPER
 from arfx.reproduce.rows import (
     BEFORE,
     CORRECTED,
+    PRINTED,
     REFERENCE,
-    Figure,
     Items,
+    Row,
     errors,
-    row,
+    rows_of,
 )
-from arfx.reproduce.s4_scenes import LAMP, flat_scene, methods, room
-from arfx.reproduce.work import Clip, Settings, Shot, Work
+from arfx.reproduce.work import Clip, Settings, Shot, Work, scene_named
 from arfx.synth.rays import Rays, radiance
 from arfx.synth.world import World
+
+row = rows_of("s4")
 
 FOOTPRINT_RAD = 0.03  # of a ray: about what a pixel of the ball mirrors
 REFLECTED = 0.95  # of the ball's material
 _LIFT_M = 1e-4
+# of the two scenes: azimuth, elevation, R, G, B
+LAMP = [148, 52, 0.42, 0.40, 0.36]
+FLAT_LAMP = [60, 45, 0.5, 0.5, 0.5]
 
 
 def pictures(work: Work) -> Items:
     red = work.scaled("red-teapot", "red-cube")
     mirror = work.scaled("mirror", "cube")
     matte = {"plane_gloss": 0.0}
-    for item, title, model, fit, gi, why in (
+    for item, model, fit, gi in (
         (
             "step 4, indirect light of an object and the plane under it",
-            "a red teapot on a desk",
             red,
             "13cm",
             matte,
-            "only lamps are in the printed volumes, so that nothing darkens the plane around"
-            " the object; voxels leak and blur",
         ),
-        (
-            "step 4, the surroundings in a shiny object",
-            "a mirror ball",
-            mirror,
-            "9cm",
-            matte,
-            "one picture does not show what is above it and behind the camera: both guess it"
-            " from the same picture",
-        ),
+        ("step 4, the surroundings in a shiny object", mirror, "9cm", matte),
         (
             "step 4, the object in a shiny real plane",
-            "a varnished desk",
             red,
             "13cm",
             {"plane_gloss": 0.25},
-            "as above; the printed mirror cone meets the volumes' voxels, and again lamps'"
-            " light alone",
         ),
     ):
         settings = methods(work, model, fit, LAMP, **gi)
-        yield from beside_reference(
-            work, item, title, settings, model == "mirror", why
-        )
+        yield beside_reference(work, item, settings, model == "mirror")
 
 
 def on_the_plane(work: Work) -> Items:
@@ -90,22 +81,13 @@ def on_the_plane(work: Work) -> Items:
     printed, corrected = (change @ [1, -1, 0] for change in red)
     yield row(
         "step 2, delta volume: red that a red cube gives the plane",
-        "V_Δ = V_ρ - V_μ",
         (-printed, corrected),
-        "red less green, linear light",
-        "with ρ the real scene alone the difference is that without the object less that"
-        " with it: added as printed, it takes red from the plane; the printed method here"
-        " subtracts it",
         printed < 0,
     )
     printed, corrected = (change.mean() for change in black)
     yield row(
         "step 2, delta volume: what a black cube takes from the plane",
-        "the object's shadow is in V_Δ",
         (printed, corrected),
-        "linear light",
-        "points of one plane send each other no light, so V_Δ holds little that a black"
-        " object could take away; corrected: what it hides of the surroundings",
         printed < corrected / 2,
     )
 
@@ -126,13 +108,8 @@ def ring(coverage: ndarray) -> ndarray:
 
 
 def beside_reference(
-    work: Work,
-    item: str,
-    title: str,
-    settings: dict[str, Any],
-    mirror: bool,
-    reason: str,
-) -> Items:
+    work: Work, item: str, settings: dict[str, Any], mirror: bool
+) -> Row:
     """One frame by both methods and by traced rays; the mean error where the effect touches
     the picture.
     """
@@ -148,15 +125,8 @@ def beside_reference(
     if mirror:
         made[REFERENCE] = mirrored_room(clip, best, made[REFERENCE])
     before = best.renderer.original()
-    yield row(
-        item,
-        title,
-        errors(made, before, TOUCHED),
-        "grey levels from traced rays, mean where anything changes",
-        reason,
-        below=1,
-    )
-    yield Figure(item, title, {BEFORE: before, **made})
+    off = errors(made, before, TOUCHED)
+    return row(item, off, None, {BEFORE: before, **made})
 
 
 def mirrored_room(clip: Clip, shot: Shot, picture: ndarray) -> ndarray:
@@ -185,9 +155,7 @@ def mirrored_room(clip: Clip, shot: Shot, picture: ndarray) -> ndarray:
         cosine = 1 / np.hypot(1, lamp[6])  # of half its angular size
         light[unit @ lamp[:3] > cosine] += lamp[3:6] / (2 * (1 - cosine))
     out = picture.copy()
-    out[covered] = np.rint(
-        255 * SRGB.encode(np.clip(REFLECTED * light, 0, 1))
-    ).astype(np.uint8)
+    out[covered] = srgb8(REFLECTED * light)
     return out
 
 
@@ -197,3 +165,37 @@ def mirror_rays(origins: ndarray, towards: ndarray) -> Rays:
     aside = normalise(np.cross(forward, np.eye(3)[np.abs(forward).argmin(-1)]))
     spans = FOOTPRINT_RAD * np.stack([aside, np.cross(forward, aside)], 1)
     return Rays(origins, forward, spans, np.zeros(len(forward)))
+
+
+def flat_scene(work: Work) -> Clip:
+    """A grey plane, a marker, one lamp."""
+    return work.clip(scene_named("flat"))
+
+
+def room(work: Work) -> Clip:
+    width, height, samples = work.scaled((480, 270, 2), (128, 72, 1))
+    return work.clip(scene_named("room", width=width, height=height, samples=samples))
+
+
+def methods(
+    work: Work, model: str, fit: str, light: list[float] = FLAT_LAMP, **gi: object
+) -> dict[str, Any]:
+    """Settings by PRINTED and CORRECTED: indirect light by one formula, all else by the corrected
+    one. light : configured, as in the paper: the scene's lamp"""
+    given: dict[str, Any] = {
+        "model": {"file": work.model(model), "fit": fit},
+        "pipeline": {
+            "stages": ["lightmap", "gi"],
+            "quality": work.scaled("standard", "draft"),
+        },
+        "light": {"given": light},
+    }
+    gi = {"samples": 32, **gi}
+    printed = {**gi, "formula": PAPER, "voxels": work.scaled(64, 32)}
+    return {PRINTED: {**given, "gi": printed}, CORRECTED: {**given, "gi": gi}}
+
+
+def flat_with(work: Work, model: str, fit: str) -> Scene:
+    """The flat scene with a model."""
+    settings = methods(work, model, fit)[CORRECTED]
+    return work.planned(flat_scene(work), settings).scene

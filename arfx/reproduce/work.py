@@ -45,6 +45,7 @@ AS_PRINTED: Settings = {name: {"formula": PAPER} for name in FORMULAS[PAPER]}
 # GLB, y up, about one unit wide: teapot, apple and aeroplane of table 1 of Tan, Chen, Sun 2009;
 # teapot, cube and rabbit of figure 5 of Jia, Tang 2013; what shows indirect light, and blur
 MODELS = Path(__file__).with_name("models")
+SCENES = Path(__file__).with_name("scenes")
 # of a timed job: rendered before, so that imports, compiled code and first contacts are not
 # counted
 WARM_FRAMES = 2
@@ -133,16 +134,12 @@ class Work:
         """A size or count, by how much is wanted."""
         return short if self.short else full
 
-    def clip(self, scene: str | SceneFile) -> Clip:
-        """The clip of a scene, as TOML text (arfx/synth/description.py) or read.
-
-        The same scene is made once.
-        """
-        read = parse_scene(scene, "scene") if isinstance(scene, str) else scene
-        folder = self.folder / f"clip-{_digest(read.model_dump_json())}"
+    def clip(self, scene: SceneFile) -> Clip:
+        """The same scene is made once."""
+        folder = self.folder / f"clip-{_digest(scene.model_dump_json())}"
         if not folder.exists():
-            make_clip(read, folder, self._checked, truth_pictures=False)
-        return Clip(folder, read)
+            make_clip(scene, folder, self._checked, truth_pictures=False)
+        return Clip(folder, scene)
 
     def model(self, name: str) -> str:
         """Path of one of the models beside this module, for settings: {"model": {"file":
@@ -164,11 +161,11 @@ class Work:
         return self._planned[key]
 
     def shot(self, clip: Clip, settings: Settings = DEFAULTS, index: int = 0) -> Shot:
-        """One frame of the clip under these settings.
-
-        Raises RenderError where nothing would be rendered in it.
-        """
-        return shot_of(self.planned(clip, settings), index)
+        """One frame of the clip under these settings, in which the object is seen."""
+        job = self.planned(clip, settings)
+        frame = open_frames(job, [index])[index]
+        levels = {s.stage: s.level for s in frame.plan.steps}
+        return Shot(job, frame, frame.chain(levels))
 
     def timed(self, clip: Clip, settings: Settings) -> Timed:
         """The whole job in a process of its own, so that its memory is its own; in the
@@ -205,15 +202,10 @@ class Work:
         self.progress(phase, done, total)
 
 
-def shot_of(job: Job, index: int) -> Shot:
-    plan = job.plan.frames[index]
-    if not plan.steps:
-        raise RenderError(
-            f"frame {index} of {job.inputs.info.path} shows no object: nothing is rendered"
-            " in it"
-        )
-    (frame,) = open_frames(job, [index]).values()
-    return Shot(job, frame, frame.chain({s.stage: s.level for s in plan.steps}))
+def scene_named(name: str, **parts: Any) -> SceneFile:
+    """One of the scenes beside this module. parts : that it names in braces"""
+    text = (SCENES / f"{name}.toml").read_text(encoding="utf-8")
+    return parse_scene(text.format(**parts), name)
 
 
 def median_s(work: Callable[[], Any], repeats: int = 5) -> float:

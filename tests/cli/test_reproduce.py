@@ -11,6 +11,8 @@ from arfx.reproduce.rows import Row, row
 from arfx.reproduce.work import Work
 from tests.cli.conftest import Run
 
+STATED = {"equation (1)": {"printed": "2.0"}}
+
 
 @pytest.fixture(autouse=True)
 def one_row(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -18,7 +20,7 @@ def one_row(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         s1,
         "rows",
-        lambda work: iter([row("equation (1)", "2.0", 2.0 + 0.01 * work.short)]),
+        lambda work: iter([row(STATED, "equation (1)", 2.0 + 0.01 * work.short)]),
     )
 
 

@@ -12,23 +12,27 @@ import numpy as np
 import pytest
 
 from arfx.core.colour import SRGB
-from arfx.core.cost import Prediction, Price, Prices, measured
+from arfx.core.cost import Price, Prices, measured
 from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
 from arfx.core.stage import Stage, View, level_named
 from arfx.measure.difference import Difference, difference, mean_flicker, touched
 from arfx.measure.steps import Chain, FrameRenderer, PreparedStages, window_of
-from arfx.measure.tradeoff import Measurements, _choose_windows, _Work
+from arfx.measure.tradeoff import (
+    LEFT_OUT,
+    Measurements,
+    Row,
+    _choose_windows,
+    _Work,
+    front,
+)
 from arfx.measure.tradeoff_frames import NAMES, Sample, pick_frames
 from arfx.measure.tradeoff_html import (
-    MOST_BYTES,
-    _share,
     error_map,
     page,
     recommendation,
 )
-from arfx.measure.tradeoff_pipelines import LEFT_OUT, Row, front
 from arfx.measure.tradeoff_time import Times
 from arfx.plan.planner import plan_frame
 from arfx.run.parameters import stages_of
@@ -45,34 +49,32 @@ def row(
     seconds: float,
     mean: float,
     p99: float,
-    frame: int = 3,
     formula: str = "",
 ) -> Row:
-    other = {"dof": object()} if formula else {}
+    frame, other = 3, {"dof": Stage()} if formula else {}
     r = Row(
         name, level, formula, measured(seconds), levels={"dof": level}, other=other
     )
     r.by_frame[frame] = Difference(
-        mean, p99, mean / 100, mean / 3, 1 - mean / 100, (4, 5), 900
+        mean, p99, mean / 100, mean / 3, 1 - mean / 100, 900
     )
     r.pictures[frame] = NOISE.integers(0, 255, (40, 50, 3)).astype(np.uint8)
     return r
 
 
 def found() -> Measurements:
-    effects = [row("dof", LEFT_OUT, 0.0, 9.0, 90), row("dof", "draft", 0.01, 2.0, 30),
-               row("dof", "standard", 0.02, 0.4, 5), row("dof", "reference", 2.0, 0, 0),
-               row("dof", "standard", 0.03, 4.0, 40, formula="paper")]  # fmt: skip
-    whole = [row("pipeline", "draft", 0.02, 1.8, 28), row("pipeline", "standard", 0.05, 0.8, 6),
-             row("pipeline", "high", 0.06, 0.9, 6), row("pipeline", "reference", 2.0, 0, 0),
-             row("pipeline", "usual", 0.001, 5.0, 50, formula="paper")]  # fmt: skip
+    effects = [row("dof", LEFT_OUT, 0.0, 9.0, 90), row("dof", "standard", 0.03, 4.0, 40, "paper"),
+               row("dof", "draft", 0.01, 2.0, 30),
+               row("dof", "standard", 0.02, 0.4, 5), row("dof", "reference", 2.0, 0, 0)]  # fmt: skip
+    whole = [row("pipeline", "usual", 0.001, 5.0, 50, "paper"),
+             row("pipeline", "draft", 0.02, 1.8, 28), row("pipeline", "standard", 0.05, 0.8, 6),
+             row("pipeline", "high", 0.06, 0.9, 6), row("pipeline", "reference", 2.0, 0, 0)]  # fmt: skip
     samples = [Sample(3, dict.fromkeys(NAMES, 1.0), "typical")]
     return Measurements(
         samples,
         effects,
         whole,
         {3: Rect(0, 0, 50, 40)},
-        {("dof", "draft"): "at the silhouette"},
     )
 
 
@@ -115,7 +117,6 @@ def test_errors_are_of_the_touched_pixels_alone() -> None:
     d = difference(a, b, where)
     assert where.sum() == 200 and d.mean == 6 and d.p99 == 6 and d.pixels == 200
     assert 0.01 < d.flip < 0.2 and 1 < d.delta_e < 6 and 0.5 < d.ssim < 1
-    assert 20 <= d.worst_px[1] < 30 and 30 <= d.worst_px[0] < 50
     assert difference(a, a, np.zeros_like(where)) == Difference()
 
 
@@ -211,22 +212,12 @@ def test_stages_read_the_measured_depth_as_in_a_job() -> None:
     assert (pictures[1] == 255).all(), "unmeasured is far away"
 
 
-def test_the_ratio_of_two_times_is_told_with_its_interval() -> None:
-    assert _share(Prediction(0.1, 0.1, 0.1), Prediction(4.0, 4.0, 4.0)) == "1/40"
-    assert (
-        _share(Prediction(0.1, 0.09, 0.11), Prediction(41.7, 30.0, 60.0))
-        == "1/420 (1/290 to 1/610)"
-    )
-    assert _share(Prediction(1.0, 0.9, 1.1), Prediction(1.25, 1.0, 1.5)) == "80 %"
-
-
 def test_the_sentence_names_the_cheapest_that_does_not_show_and_what_would() -> None:
     text = recommendation(found())
-    assert text.startswith("standard is within 0.8 grey levels of reference")
-    assert (
-        "1/40 of its time" in text
-        and "dof draft would show at the silhouette (frame 3)" in text
+    assert "\n" not in text and text.startswith(
+        "standard is within 0.8 grey levels of reference"
     )
+    assert "at 1/40 of its time" in text and "dof draft would show (frame 3)" in text
     cheap = found()
     cheap.pipelines = [
         row("pipeline", "draft", 0.02, 0.5, 5),
@@ -258,7 +249,11 @@ def test_a_small_window_is_said() -> None:
 
 def test_the_front_holds_only_what_nothing_beats() -> None:
     own = [r for r in found().pipelines if not r.other]
-    assert [r.level for r in front(own)] == ["draft", "standard", "reference"]
+    assert [r.level for r in front(own)] == [
+        "draft",
+        "standard",
+        "reference",
+    ]
 
 
 def work_of(
@@ -272,7 +267,11 @@ def work_of(
     inputs = SimpleNamespace(config=config, camera=frame.prepared.scene.camera)
     job: Any = SimpleNamespace(stages=frame.stages, inputs=inputs)
     return _Work(
-        job, [3], {3: frame}, None, levels, levels, Times([frame], {}, Prices(prices))
+        job,
+        {3: frame},
+        None,
+        levels,
+        Times([frame], {0: frozenset()}, Prices(prices)),
     )
 
 
@@ -330,10 +329,10 @@ def test_a_step_is_timed_upon_the_steps_before_it_that_are_not_left_out(
     ]
 
 
-def test_the_page_holds_everything_and_little_enough() -> None:
+def test_the_page_holds_everything() -> None:
     f = found()
     html = page(f, told(f))
-    assert "a&lt;b&gt;.mp4" in html and "error × 8" in html and len(html) < MOST_BYTES
+    assert "a&lt;b&gt;.mp4" in html and "error × 8" in html
     assert html.count("standard (paper)") >= 2 and "usual (paper)" in html
     assert html.count("≈ 2") == 2, "what was not measured is marked"
     assert "http://" not in html.replace("http://www.w3.org", "")

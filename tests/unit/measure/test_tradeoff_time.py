@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from tests.scenes import camera, facts, look_at, scene
 
 ALONE_S, BOX_S = 0.2, 60e-6  # of a run by itself;  of a pixel of the object's box
 NEW_S = 0.4  # of a new light
+LIT: dict[int, frozenset[str]] = dict.fromkeys((0, 1), frozenset())
 
 
 class Slow(Stage):
@@ -61,20 +63,20 @@ def test_a_reference_that_is_slow_is_predicted_by_the_price_list() -> None:
     chain = frame.chain({"slow": "reference"})
     area = frame.plan.changed.area / 1e6
     dear = {"slow/reference": Price({"mpx": 10 / area}, 0.2)}
-    times = Times([frame], {}, Prices(dear, calibrated=True), Clock(stage))
+    times = Times([frame], LIT, Prices(dear, calibrated=True), Clock(stage))
     found = times.of(chain)
     assert found.seconds == pytest.approx(10) and times.is_slow(chain)
     assert found.low_s < 10 < found.high_s and stage.now_s == 0
     cheap = {"slow/reference": Price({"mpx": 1 / area}, 0.2)}
     for prices in (cheap, {}):
-        times = Times([frame], {}, Prices(prices), Clock(stage))
+        times = Times([frame], LIT, Prices(prices), Clock(stage))
         truth = ALONE_S + float(stage.seconds[frame.plan.changed.slices].sum())
         assert times.of(chain).seconds == pytest.approx(truth), "it is run"
 
 
 def test_what_is_fast_is_run_over_the_whole() -> None:
     _, stage, frame = slow_frame(2e-6)
-    times = Times([frame], {}, Prices({}), Clock(stage))
+    times = Times([frame], LIT, Prices({}), Clock(stage))
     found = times.of(frame.chain({"slow": "draft"}))
     truth = 1e-3 * (ALONE_S + float(stage.seconds[frame.plan.changed.slices].sum()))
     assert found.seconds == pytest.approx(truth)
@@ -84,9 +86,11 @@ def test_a_light_that_is_new_in_every_other_frame_costs_half_of_what_it_takes() 
     None
 ):
     found = []
-    for new in (0.0, 0.5):
+    for new in ({}, {1: frozenset({"new_lights"})}):
         _, stage, frame = slow_frame(2e-6)
-        times = Times([frame], {"slow": new}, Prices({}), Clock(stage))
+        stage.terms = ("frames", "new_lights")
+        second = replace(frame, facts=frame.facts.with_(index=1))
+        times = Times([frame, second], {**LIT, **new}, Prices({}), Clock(stage))
         found.append(times.of(frame.chain({"slow": "draft"})).seconds)
     assert found[1] - found[0] == pytest.approx(0.5 * NEW_S * 1e-3, rel=0.01)
 

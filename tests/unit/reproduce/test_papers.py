@@ -8,15 +8,16 @@ one that changes. A verdict that depends on the machine (a rate, memory) is reco
 from __future__ import annotations
 
 import json
+import math
 import sys
 import tempfile
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 from arfx.reproduce import PAPERS
-from arfx.reproduce.document import items_of
-from arfx.reproduce.rows import Row
+from arfx.reproduce.rows import HOLDS, statements
 from arfx.reproduce.work import Work
 
 RECORDED = Path(__file__).with_name("verdicts")
@@ -24,11 +25,15 @@ MEASURED = "measured"
 
 
 def verdicts(paper: str, folder: Path) -> dict[str, str]:
-    return {
-        i.item: i.verdict
-        for i in items_of(paper, Work(folder, short=True))
-        if isinstance(i, Row)
-    }
+    """Of rows that are complete."""
+    rows = [*import_module(f"arfx.reproduce.{paper}").rows(Work(folder, short=True))]
+    assert sorted(r.item for r in rows) == sorted(statements(paper))
+    for r in rows:
+        assert r.verdict == HOLDS or r.reason.strip(), r.item
+        assert bool(r.pictures) <= bool(r.title), r.item
+        for value in (r.printed, r.paper_formula, r.corrected):
+            assert not isinstance(value, float) or math.isfinite(value), r.item
+    return {r.item: r.verdict for r in rows}
 
 
 def recorded(paper: str) -> dict[str, str]:

@@ -1,15 +1,10 @@
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
-from arfx.reproduce.rows import (
-    DIFFERS,
-    HOLDS,
-    UNDERIVED,
-    Row,
-    half_digit,
-    row,
-)
+from arfx.reproduce.rows import DIFFERS, HOLDS, UNDERIVED, Row, range_of, row
 
 
 @pytest.mark.parametrize(
@@ -24,29 +19,41 @@ from arfx.reproduce.rows import (
     ],
 )
 def test_digits_printed_give_the_tolerance(printed: str, half: float) -> None:
-    assert half_digit(printed) == pytest.approx(half)
+    middle = float(printed)
+    assert range_of(printed) == pytest.approx((middle - half, middle + half))
+
+
+def test_a_range_is_what_lies_in_it_and_words_are_none() -> None:
+    assert range_of("9–13") == (9, 13)
+    assert range_of("60", 2) == pytest.approx((58, 62))
+    assert range_of("left – right") is None
+
+
+def beside(printed: str, values: Any, holds: Any = None, **stated: Any) -> Row:
+    return row({"a": {"printed": printed, **stated}}, "a", values, holds)
 
 
 def test_a_verdict_follows_from_the_values() -> None:
-    assert row("a", "58.7", (58.7428, 58.6512)).verdict == HOLDS
-    assert row("a", "58.7", 58.7428, reason="of no use").reason == ""
-    assert row("a", "58.7", (58.7428, 54.1451), reason="why").verdict == DIFFERS
-    assert row("a", "58.7", 58.76, reason="why").verdict == DIFFERS
-    assert (
-        row(
-            "a", "126.746", (None, 120.38), reason="its inputs are not stated"
-        ).verdict
-        == UNDERIVED
+    assert beside("58.7", (58.7428, 58.6512)).verdict == HOLDS
+    assert beside("58.7", 58.7428, reason="of no use").reason == ""
+    differs = beside("58.7", (58.7428, 54.1451), reason="why")
+    assert (differs.verdict, differs.reason, differs.printed) == (
+        DIFFERS,
+        "why",
+        58.7,
     )
-    assert row("a", "14", 16.0, reason="why", tolerance=2).verdict == HOLDS
-    assert row("a", "left", ("left", "left")).verdict == HOLDS
-    assert row("a", "left", ("left", "right"), reason="why").verdict == DIFFERS
+    assert beside("58.7", 58.76).verdict == DIFFERS
+    assert beside("126.746", (None, 120.38)).verdict == UNDERIVED
+    assert beside("14", 16.0, tolerance=2).verdict == HOLDS
+    assert beside("left", ("left", "left")).verdict == HOLDS
+    assert beside("left", ("left", "right")).verdict == DIFFERS
+    assert beside("9–13", (9.5, 12)).verdict == HOLDS
+    assert beside("9–13", (9.5, 14)).verdict == DIFFERS
+    assert beside("alike", (0.1, 0.3), below=0.2).verdict == DIFFERS
+    assert beside("8", (9.5, 12), True).printed == "8"
 
 
-def test_a_row_that_does_not_hold_says_why() -> None:
-    with pytest.raises(ValueError, match="no reason"):
-        row("a", "58.7", (58.7428, 54.1451))
-    with pytest.raises(ValueError, match="no reason"):
-        row("a", "126.746", None, reason=" ")
-    with pytest.raises(ValueError, match="not finite"):
-        Row("a", 1.0, float("inf"), 1.0, verdict=HOLDS)
+def test_texts_name_what_goes_with_the_values() -> None:
+    stated = {"a": {"printed": "{n}", "reason": "{why} alone", "unit": "of {n}"}}
+    found = row(stated, "a", 5, n=4, why="noise")
+    assert (found.printed, found.unit, found.reason) == (4, "of 4", "noise alone")

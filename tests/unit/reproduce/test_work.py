@@ -35,15 +35,15 @@ fit = "12cm"
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Work, Clip]:
     work = Work(tmp_path_factory.mktemp("work"), short=True)
-    return work, work.clip(SCENE)
+    return work, work.clip(parse_scene(SCENE, "scene"))
 
 
 def test_a_clip_is_made_once_for_each_scene(made: tuple[Work, Clip]) -> None:
     work, clip = made
     assert (
-        work.clip(parse_scene(SCENE)).folder
+        work.clip(parse_scene(SCENE, "scene")).folder
         == clip.folder
-        != work.clip(SCENE.replace("150mm", "140mm")).folder
+        != work.clip(parse_scene(SCENE.replace("150mm", "140mm"), "scene")).folder
     )
     assert len(clip.frames()) == 3 and clip.frames()[0].shape == (96, 160, 3)
 
