@@ -49,7 +49,7 @@ from arfx.run.parameters import light_method, make_stages, required_facts
 from arfx.run.place import Places
 from arfx.run.planned import MAPS, ClipAnalysis, Job, JobPlan, places_in_words
 from arfx.run.predict import JobSize, choose, level_policy
-from arfx.run.schedule import Chunk, borders, find_chunk
+from arfx.run.schedule import borders, find_chunk
 from arfx.run.source import frames_kept
 from arfx.run.stretches import analyse_stretch
 from arfx.run.summary import build_report
@@ -123,19 +123,18 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
         options = replace(options, progress=progress)
         with options.processes:
             job = plan_job(inputs, folder, options, started, cluster)
-            chunks = _chunks(job)
-            files = _render(job, chunks, options, cluster)
+            files = _render(job, options, cluster)
         start = time.perf_counter()
         if left_out := _join(job, files, places):
             options.notice(
                 "damaged packets of sound, subtitles or data that were left out:"
                 f" {left_out}"
             )
-        report = build_report(job, chunks, time.perf_counter() - start)
+        report = build_report(job, time.perf_counter() - start)
         write(folder.report, json.dumps(report, indent=1))
         folder.clear("chunks")
         folder.clear("stretches")
-        del job, chunks, files  # the page reads the facts again
+        del job, files  # the page reads the facts again
         if options.finish is not None:
             options.finish(folder.path)
         folder.placed.unlink(missing_ok=True)
@@ -376,34 +375,31 @@ def _run(
     return cluster.run(inputs, folder, key, work is render_chunk, run_here)
 
 
-def _chunks(job: Job) -> list[Chunk]:
-    return [Chunk(first, last, job.key) for first, last in borders(len(job.facts))]
-
-
 def _render(
-    job: Job, chunks: list[Chunk], options: Options, cluster: Cluster | None = None
+    job: Job, options: Options, cluster: Cluster | None = None
 ) -> list[Path]:
     """The chunks' files, in order; those that are there already are kept."""
     folder, suffix = job.folder, chunk_suffix(job.inputs.output)
-    files = {c.first: find_chunk(folder.chunks, c.name, suffix) for c in chunks}
-    todo = [c for c in chunks if files[c.first] is None]
-    names, total = {c.first: c.name for c in todo}, len(job.facts)
+    files = {c: find_chunk(folder.chunks, c.name, suffix) for c in job.chunks}
+    todo = {c.first: c for c, file in files.items() if file is None}
+    left, total = sum(c.frames for c in todo.values()), len(job.facts)
     tasks: list[Task] = [
         (str(folder.path), job.key, c.first, c.last, str(folder.chunks / c.name))
-        for c in todo
+        for c in todo.values()
     ]
 
     def progress(done: int) -> None:
-        options.progress("render", total - sum(c.frames for c in todo) + done, total)
+        options.progress("render", total - left + done, total)
 
     progress(0)
     run = _run(render_chunk, job.inputs, folder, job.key, options, cluster)
     # an error here too stops the workers
     with contextlib.closing(run(tasks, total, progress)) as results:
         for result in results:
-            files[result["first"]] = folder.chunks / result["file"]
-            job.log.note(CHUNK, names[result["first"]], **result)
-    progress(sum(c.frames for c in todo))
+            chunk = todo[result["first"]]
+            files[chunk] = folder.chunks / result["file"]
+            job.log.note(CHUNK, chunk.name, **result)
+    progress(left)
     return [path for path in files.values() if path is not None]
 
 

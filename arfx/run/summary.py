@@ -6,7 +6,7 @@ of `arfx report`).
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
@@ -26,14 +26,13 @@ from arfx.run.frame import ready_stages, run_frame
 from arfx.run.model_size import model_size
 from arfx.run.parameters import stages_of
 from arfx.run.planned import Job, places_in_words
-from arfx.run.schedule import Chunk
 from arfx.run.times import TimeSpent
 from arfx.stages import STAGES
 
 _SHADING = frozenset({"lightmap", "gi"})  # stages that lay the light on the object
 
 
-def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, Any]:
+def build_report(job: Job, join_s: float) -> dict[str, Any]:
     """The report of a job whose output is written.
 
     join_s : seconds that it took to put the chunks together
@@ -44,7 +43,7 @@ def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, 
     uneven = bool(len(steps) and steps.max() - steps.min() > 0.1 * np.median(steps))
     last_s = float(np.median(steps)) if len(pts) > 1 else 1.0 / (info.fps or 25.0)
     seconds = float(pts[-1] - pts[0]) + last_s
-    spent = job.log.spent(job.analysis_key, [c.name for c in chunks])
+    spent = job.log.spent(job.analysis_key, (c.name for c in job.chunks))
     rows = summarise(job.plan.frames, job.stages, job.inputs.camera.rect.area)
     for row in rows:
         row["measured_s"] = spent.stages.get(row["name"], 0.0)
@@ -90,20 +89,20 @@ def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, 
         "levels": job.plan.levels,
         "predicted": job.plan.predicted,
         "health": [check.to_json() for check in health(job)],
-        "timing": _timing(spent, job.plan.seconds, join_s, chunks),
-        "workers": list(spent.workers),
+        "timing": _timing(spent, len(facts), job.plan.seconds, join_s),
+        "workers": spent.workers,
         "notices": analysed.notices,
     }
 
 
 def _timing(
-    spent: TimeSpent, plan_s: float, join_s: float, chunks: Sequence[Chunk]
+    spent: TimeSpent, frames: int, plan_s: float, join_s: float
 ) -> dict[str, Any]:
     """Of a resumed job the time of all processes whose work is in the output, not of the
     last one alone.
     """
     s = defaultdict(float, spent.seconds)
-    frames = sum(c.frames for c in chunks)
+    timed = sum(worker["frames"] for worker in spent.workers)
     return {
         "decode_s": s["decode"],
         "analyse_s": s["analyse"],
@@ -116,7 +115,7 @@ def _timing(
         "peak_rss_mb": spent.peak_rss_mb,
         "resumed": spent.processes > 1,
         "processes": spent.processes,
-        "frames_untimed": sum(c.frames for c in chunks if c.name in spent.untimed),
+        "frames_untimed": frames - timed,  # a process was killed before it noted them
     }
 
 

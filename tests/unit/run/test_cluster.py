@@ -279,7 +279,7 @@ def test_the_time_of_each_worker(tmp_path: Path) -> None:
         )
     log.note(ANALYSIS, "facts", {"analyse": 0.5}, stretches=["s"])
     spent = log.spent("facts", "abc")
-    assert spent.workers == (
+    assert spent.workers == [
         {
             "name": "2",
             "host": "h",
@@ -296,7 +296,7 @@ def test_the_time_of_each_worker(tmp_path: Path) -> None:
             "frames": 36,
             "seconds": 6.0,
         },
-    )
+    ]
     assert spent.seconds["analyse"] == 4.5
     log.note(ANALYSIS, "facts", {"analyse": 5.0}, stretches=[["s"]])  # damaged
     assert log.spent("facts", "abc").seconds["analyse"] == 4.5

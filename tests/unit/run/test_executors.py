@@ -149,7 +149,7 @@ def test_an_error_beside_the_workers_stops_them(
 
     monkeypatch.setattr(job, "chunk_suffix", lambda _: ".nut")
     planned: Any = SimpleNamespace(
-        folder=JobFolder(tmp_path), inputs=SimpleNamespace(output=None, camera=scene().camera), facts=[], key="", log=SimpleNamespace(note=full),
+        folder=JobFolder(tmp_path), inputs=SimpleNamespace(output=None, camera=scene().camera), facts=[], key="", chunks=[Chunk(0, 1, "a"), Chunk(2, 3, "b")], log=SimpleNamespace(note=full),
     )  # fmt: skip
     processes: Any = SimpleNamespace(run=run)
     with pytest.raises(
@@ -157,7 +157,6 @@ def test_an_error_beside_the_workers_stops_them(
     ) as kept:  # holds the traceback, and with it the generator
         job._render(
             planned,
-            [Chunk(0, 1, "a"), Chunk(2, 3, "b")],
             Options(workers=2, processes=processes),
         )
     assert stopped and kept

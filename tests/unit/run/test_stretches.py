@@ -257,7 +257,7 @@ def test_processes_leave_the_same_bytes(clip_of: ClipOf, tmp_path: Path) -> None
             inputs, folder, Options(workers=workers, notice=lambda _: None)
         ).log.rows()
         facts.append(folder.facts.read_bytes())
-        made_by = {row["pid"] for row in rows if row["work"] == "stretch"}
+        made_by = {row.worker for row in rows if row.work == "stretch"}
     assert facts[0] == facts[1] and len(made_by) == 2
 
 
