@@ -32,14 +32,13 @@ SWS_MATRIX = {
 class Frame:
     """One picture; never changes.
 
-    index : number in the reader's order;  pts : in `time_base` units;  key : key frame.
+    index : number in the reader's order;  pts : in `time_base` units.
     """
 
     picture: av.VideoFrame
     format: FrameFormat
     index: int
     pts: int
-    key: bool = False
 
     @property
     def time_s(self) -> float:

@@ -132,8 +132,7 @@ class ClipReader:
                 return
             if first_pts is None or pts >= first_pts:
                 held = repacked(picture, self._format.layout.name)
-                key = bool(picture.key_frame)
-                yield Frame(held, self._format, next(index), pts, key)
+                yield Frame(held, self._format, next(index), pts)
 
     def times(self) -> FrameTimes | None:
         """None where packets do not tell: a time is missing, there twice, or they go back."""

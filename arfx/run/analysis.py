@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from arfx.analyse.clip import analyse
@@ -16,7 +16,6 @@ from arfx.analyse.observe import ClipRows
 from arfx.analyse.tables import Tables, from_bytes, rows_of
 from arfx.core.waiting import Progress
 from arfx.errors import RenderError
-from arfx.media.clip import ClipInfo
 from arfx.media.frames import (
     ClipReader,
     FrameDamageError,
@@ -26,6 +25,7 @@ from arfx.media.frames import (
 )
 from arfx.run.executors import Done, Results, Task, run_serial
 from arfx.run.folder import JobFolder
+from arfx.run.planned import DecodedFrames
 from arfx.run.stretches import (
     END,
     FRAMES,
@@ -34,7 +34,6 @@ from arfx.run.stretches import (
     Stretch,
     StretchEnd,
     Stretches,
-    StretchFrame,
     analyse_stretch,
     cut,
     keep,
@@ -46,49 +45,32 @@ from arfx.run.times import ANALYSIS, STRETCH, WorkLog
 Run = Callable[[Sequence[Task], int, Done], Results]
 
 
-@dataclass(frozen=True)
-class AnalysisPass:
-    """pts : presentation times of the frames to render, in the clip's time base;  keys :
-    which of them decoding can begin at
-    truncated : a message where the file ends in damage;  careful, missing, damaged : as of
-    `ClipAnalysis`"""
-
-    analysis: Analysis
-    pts: list[int]
-    keys: list[int]
-    truncated: str | None
-    careful: bool
-    missing: list[tuple[float, int]]
-    damaged: bool = False
-
-
 def in_order(tasks: Sequence[Task], frames: int, progress: Done) -> Results:
     """The stretches one after the other, in this thread."""
     return run_serial(tasks, progress, analyse_stretch)
 
 
 def analyse_clip(
-    info: ClipInfo,
+    span: Span,
     job: AnalysisJob,
     wanted: Collection[str],
-    span_s: tuple[float | None, float | None],
     progress: Progress,
     folder: JobFolder,
     key: str,
     log: WorkLog | None = None,
     run: Run = in_order,
-) -> AnalysisPass:
-    """Analyse the frames of span_s (seconds from the clip's first frame, ends included).
+) -> tuple[Analysis, DecodedFrames]:
+    """Analyse the frames of a span.
 
     wanted : facts, by name;  folder, key : where the stretches are kept, and what they are of
     run(tasks, frames, progress) : has analyse_stretch called on tasks, whoever does it
     Stretches that are there already are taken as they are. Raises
     NothingToDoError if the span holds no frame, or nothing is seen to stand on."""
-    span, log = Span(info, *span_s), log or WorkLog(folder.timings)
-    with ClipReader(info) as reader:
+    log = log or WorkLog(folder.timings)
+    with ClipReader(span.info) as reader:
         times = reader.times()
 
-    def analysed(stretches: Stretches, run: Run) -> AnalysisPass:
+    def analysed(stretches: Stretches, run: Run) -> tuple[Analysis, DecodedFrames]:
         context = Context(
             replace(job, frames=stretches.frames), wanted, span, stretches
         )
@@ -116,20 +98,20 @@ def analyse_clip(
             for result in results:
                 log.note(STRETCH, result["file"], **result)
         start = time.perf_counter()
-        found = _joined(context, files, [] if times is None else times.pts)
+        found, frames = _joined(context, files, [] if times is None else times.pts)
         seconds = {"analyse": time.perf_counter() - start}
         names = [file.name for file in files.values()]
         log.note(ANALYSIS, key, seconds, stretches=names)
-        progress("analyse", len(found.pts), len(found.pts))
-        return found
+        progress("analyse", len(frames.pts), len(frames.pts))
+        return found, frames
 
     stretches, damaged = cut(span, times), reader.damaged
     try:
-        found = analysed(stretches, run if stretches.seeks else in_order)
+        found, frames = analysed(stretches, run if stretches.seeks else in_order)
     except FrameTimesError as e:  # what the packets say of the frames is not so
         damaged = isinstance(e, FrameDamageError)
-        found = analysed(whole(span), in_order)
-    return replace(found, damaged=damaged)
+        found, frames = analysed(whole(span), in_order)
+    return found, replace(frames, damaged=damaged)
 
 
 def _tables(file: Path) -> Tables | None:
@@ -143,24 +125,21 @@ def _tables(file: Path) -> Tables | None:
 
 def _joined(
     context: Context, files: Mapping[Stretch, Path], stated: list[int]
-) -> AnalysisPass:
+) -> tuple[Analysis, DecodedFrames]:
     """What the stretches hold together. stated : times of the clip's packets"""
     stretches, span = context.stretches, context.span
-    rows, pts, keys = ClipRows(), list[int](), list[int]()
+    rows, pts = ClipRows(), list[int]()
     before, end = stretches.before, StretchEnd(0, False, "")
     for part, file in files.items():
         tables = _tables(file)
         if tables is None:
             raise RenderError(f"{file} has changed", "--resume makes it anew")
         rows.add(tables, len(pts) - part.first)
-        frames = rows_of(tables[FRAMES], StretchFrame, len(pts))
-        keys += [f.frame for f in frames if f.key]
-        pts += [f.pts for f in frames]
+        pts += tables[FRAMES]["pts"].tolist()
         (end,) = rows_of(tables[END], StretchEnd)
         before += end.before
     if not pts:
         raise span.nothing()
-    times = [span.since_s(t) for t in pts]
     # an MP4's index says what a gap is
     missing = missing_frames(pts, stated, gaps="mov" not in span.info.container)
     truncated = (end.truncated or stretches.truncated) if end.ended else None
@@ -169,7 +148,8 @@ def _joined(
             f"{span.info.path}: the last frames cannot be decoded ({lost}); processed"
             " to the last good frame"
         )
+    times = [span.since_s(t) for t in pts]
     frame_span = (times, before, end.ended and not truncated)
     analysis = analyse(rows, context.job, context.wanted, frame_span)
     gaps = [(span.since_s(t), count) for t, count in missing]
-    return AnalysisPass(analysis, pts, keys, truncated, stretches.careful, gaps)
+    return analysis, DecodedFrames(pts, truncated, stretches.careful, gaps, False)

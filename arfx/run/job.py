@@ -51,7 +51,7 @@ from arfx.run.planned import MAPS, ClipAnalysis, Job, JobPlan, places_in_words
 from arfx.run.predict import JobSize, choose, level_policy
 from arfx.run.schedule import borders, find_chunk
 from arfx.run.source import frames_kept
-from arfx.run.stretches import analyse_stretch
+from arfx.run.stretches import Span, analyse_stretch
 from arfx.run.summary import build_report
 from arfx.run.times import CHUNK, TimeSpent, WorkLog
 from arfx.run.worker import keep_memory, render_chunk
@@ -239,7 +239,7 @@ def _size(
     spent: TimeSpent,
     stated: int | None,
 ) -> JobSize:
-    frames, area_px = len(analysed.pts), inputs.camera.rect.area
+    frames, area_px = len(analysed.frames.pts), inputs.camera.rect.area
     workers, threads = worker_count(frames * area_px, stated)
     workers = max(min(workers, len(borders(frames))), 1)
     return JobSize(
@@ -295,21 +295,18 @@ def _analyse(
         light_method(config),
         inputs.prints,
     )
-    span = (config.input.start, config.input.end)
-
-    done = analyse_clip(
-        inputs.info,
+    span = Span(inputs.info, config.input.start, config.input.end)
+    clip, frames = analyse_clip(
+        span,
         job,
         required_facts(config),
-        span,
         options.progress,
         folder,
         analysis_key,
         log,
         _run(analyse_stretch, inputs, folder, analysis_key, options, cluster),
     )
-    clip = done.analysis
-    check_times(inputs.output, done.pts, inputs.info.time_base)
+    check_times(inputs.output, frames.pts, inputs.info.time_base)
     seen, notices = clip.summary["markers_seen"], list(clip.notices)
     if anchor == MARKER:
         notices += [
@@ -317,18 +314,18 @@ def _analyse(
             for m in config.markers
             if not seen.get(m.key)
         ]
-    if done.truncated:
-        notices.append(done.truncated)
-    if done.damaged and not done.missing:
+    if frames.truncated:
+        notices.append(frames.truncated)
+    if frames.damaged and not frames.missing:
         notices.append(
             f"{inputs.info.path}: packets are damaged, lost or joined: what a frame lacks"
             " is the decoder's guess"
         )
-    if done.missing:
-        count = counted(sum(count for _, count in done.missing), "frames")
+    if frames.missing:
+        count = counted(sum(count for _, count in frames.missing), "frames")
         notices.append(
             f"{inputs.info.path}: {count} missing, damaged or not in the file:"
-            f" {places_in_words(done.missing)}"
+            f" {places_in_words(frames.missing)}"
         )
     notices += check_size(scene_of(clip), clip.facts)
     for notice in notices:
@@ -336,19 +333,14 @@ def _analyse(
     write_facts(folder.facts, clip.facts)
     write(folder.environment, to_bytes({MAPS: dict(clip.environment_maps)}))
     ClipAnalysis(
-        done.pts,
-        done.keys,
+        frames,
         clip.anchor.key,
         clip.world_from_marker,
         clip.static,
         clip.summary,
-        done.truncated,
         pick_previews(clip.facts),
         [*inputs.notices, *notices],
         clip.real_planes,
-        done.careful,
-        done.missing,
-        done.damaged,
     ).write(folder)
 
 
@@ -375,9 +367,7 @@ def _run(
     return cluster.run(inputs, folder, key, work is render_chunk, run_here)
 
 
-def _render(
-    job: Job, options: Options, cluster: Cluster | None = None
-) -> list[Path]:
+def _render(job: Job, options: Options, cluster: Cluster | None = None) -> list[Path]:
     """The chunks' files, in order; those that are there already are kept."""
     folder, suffix = job.folder, chunk_suffix(job.inputs.output)
     files = {c: find_chunk(folder.chunks, c.name, suffix) for c in job.chunks}
@@ -413,7 +403,7 @@ def _join(job: Job, files: Sequence[Path], places: Places) -> int:
     try:
         return join_chunks(
             files,
-            job.analysed.pts,
+            job.analysed.frames.pts,
             output,
             job.inputs.info,
             output.path,

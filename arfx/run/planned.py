@@ -29,31 +29,37 @@ _PLACES_SAID = 5  # places, of those where frames are missing
 
 
 @dataclass(frozen=True)
-class ClipAnalysis(Document):
-    """The analysis of the whole clip, beside the `FrameFacts` of each frame.
+class DecodedFrames(Document):
+    """The frames to render. pts : their presentation times, in time base units
 
-    pts, keys : presentation times of all frames, in time base units, and numbers of the key frames
-    anchor : key of the marker, or of the plane, under the object;  static : what is at rest
-    truncated : why the clip ends early, or None;  previews : frames of which the report
-    shows a picture
-    summary : for the report;  careful : frames are read as `ClipReader` says
+    truncated : why the clip ends early, or None;  careful : they are read as `ClipReader`
+    says
     missing : (seconds from the clip's first frame, number) of frames that the clip does not
     give, where they would be
     damaged : parts of the clip cannot be read; the decoder may have had to guess them"""
 
     pts: list[int]
-    keys: list[int]
+    truncated: str | None
+    careful: bool
+    missing: Sequence[tuple[float, int]]
+    damaged: bool
+
+
+@dataclass(frozen=True)
+class ClipAnalysis(Document):
+    """The analysis of the whole clip, beside the `FrameFacts` of each frame.
+
+    anchor : key of the marker, or of the plane, under the object;  static : what is at rest
+    previews : frames of which the report shows a picture;  summary : for the report"""
+
+    frames: DecodedFrames
     anchor: str
     world_from_marker: Mapping[str, Pose]
     static: str
     summary: Mapping[str, Any]
-    truncated: str | None
     previews: Sequence[int]
     notices: Sequence[str]
     real_planes: Sequence[RealPlane]
-    careful: bool
-    missing: Sequence[tuple[float, int]]
-    damaged: bool
 
     def scene(
         self, config: JobConfig, camera: Camera, model: Model, folder: JobFolder
@@ -114,7 +120,9 @@ class Job:
 
     @property
     def chunks(self) -> list[Chunk]:
-        return [Chunk(first, last, self.key) for first, last in borders(len(self.facts))]
+        return [
+            Chunk(first, last, self.key) for first, last in borders(len(self.facts))
+        ]
 
 
 def places_in_words(missing: Sequence[tuple[float, int]]) -> str:

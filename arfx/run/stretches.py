@@ -282,19 +282,15 @@ def analyse_stretch(
 
 
 class StretchFrame(NamedTuple):
-    """A frame of a stretch. frame : from 0;  key : decoding can begin there"""
+    """A frame of a stretch. frame : from 0"""
 
     frame: int
     pts: int
-    key: bool
 
 
 class StretchEnd(NamedTuple):
-    (
-        """How a stretch ended. before : frames of the clip that were decoded before the span;
-    ended : it reaches the clip's end;  truncated : why early, or """
-        ""
-    )
+    """How a stretch ended. before : frames of the clip that were decoded before the span;
+    ended : it reaches the clip's end;  truncated : why early, or empty"""
 
     before: int
     ended: bool
@@ -348,12 +344,6 @@ def observe(
         check()
         end = end._replace(ended=True, truncated=source.reader.truncated or "")
 
-    def step(frame: Frame, following: Frame | None) -> None:
-        luma = np.ascontiguousarray(frame.luma())
-        after = None if following is None else following.luma
-        index = stretch.first + len(shown)
-        observation.step(AnalysisFrame(index, frame.time_s, luma, frame, after))
-
     with contextlib.closing(frames()) as all_frames:
         frame = next(all_frames, None)
         while frame is not None:
@@ -362,9 +352,12 @@ def observe(
                 break
             following = next(all_frames, None)
             start = time.perf_counter()
-            step(frame, following)
+            luma = np.ascontiguousarray(frame.luma())
+            after = None if following is None else following.luma
+            index = stretch.first + len(shown)
+            observation.step(AnalysisFrame(index, frame.time_s, luma, frame, after))
             analyse_s += time.perf_counter() - start
-            shown.append(StretchFrame(len(shown), frame.pts, frame.key))
+            shown.append(StretchFrame(len(shown), frame.pts))
             if not careful:
                 keep_frame(frame)
             tick()

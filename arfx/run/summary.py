@@ -38,7 +38,7 @@ def build_report(job: Job, join_s: float) -> dict[str, Any]:
     join_s : seconds that it took to put the chunks together
     """
     info, analysed, facts = job.inputs.info, job.analysed, job.facts
-    pts = np.array(analysed.pts, dtype=object) * info.time_base
+    pts = np.array(analysed.frames.pts, dtype=object) * info.time_base
     steps = np.diff(pts).astype(float)
     uneven = bool(len(steps) and steps.max() - steps.min() > 0.1 * np.median(steps))
     last_s = float(np.median(steps)) if len(pts) > 1 else 1.0 / (info.fps or 25.0)
@@ -66,8 +66,8 @@ def build_report(job: Job, join_s: float) -> dict[str, Any]:
             "vfr": uneven,
             "rotation": info.rotation_deg,
             "audio": [str(s) for s in info.audio],
-            "truncated": analysed.truncated,
-            "missing": analysed.missing,
+            "truncated": analysed.frames.truncated,
+            "missing": analysed.frames.missing,
             "camera": job.inputs.camera.source,
             "camera_guessed": job.inputs.camera.guessed,
             "stream": info.to_json(),
@@ -151,11 +151,7 @@ def health(job: Job) -> Iterator[Check]:
 
     None of its values is not finite: it would have stopped there.
     """
-    facts, summary, truncated = (
-        job.facts,
-        job.analysed.summary,
-        job.analysed.truncated,
-    )
+    facts, summary, decoded = job.facts, job.analysed.summary, job.analysed.frames
     camera, file = job.inputs.camera, job.inputs.config.input.camera
     known = "guessed" if camera.guessed else "given"
     yield Check(
@@ -184,13 +180,11 @@ def health(job: Job) -> Iterator[Check]:
     yield Check(
         "frames without a pose", absent, 0, absent == 0, "object left out there"
     )
-    missing = sum(count for _, count in job.analysed.missing)
-    state = (
-        "damaged" if job.analysed.damaged else "incomplete" if missing else "whole"
-    )
-    state, action = truncated or state, "processed to its last good frame"
+    missing = sum(count for _, count in decoded.missing)
+    state = "damaged" if decoded.damaged else "incomplete" if missing else "whole"
+    state, action = decoded.truncated or state, "processed to its last good frame"
     yield Check("source file", state, "whole", state == "whole", action)
-    action = f"left out: {places_in_words(job.analysed.missing)}"
+    action = f"left out: {places_in_words(decoded.missing)}"
     yield Check("frames missing in the source", missing, 0, missing == 0, action)
     for where in ("facts", "pictures"):
         name = f"values that are not finite in the {where}"

@@ -160,7 +160,7 @@ def render_chunk(
     keep_memory()
     with _OPENING:
         context = open_context(folder, job_key, paths)
-    analysed = context.analysed
+    decoded, previews = context.analysed.frames, context.analysed.previews
     facts = {f.index: f for f in context.facts[first : last + 1]}
     plans = {p.index: p for p in context.plans[first : last + 1]}
     start = time.perf_counter()
@@ -196,7 +196,7 @@ def render_chunk(
                 for index in range(first, last + 1):
                     start = time.perf_counter()
                     frame = job_frame(
-                        context.info, analysed.pts, index, alone, analysed.careful
+                        context.info, decoded.pts, index, alone, decoded.careful
                     )
                     seconds["decode"] += time.perf_counter() - start
                     if frame is None:
@@ -214,7 +214,7 @@ def render_chunk(
                         seconds,
                         stage_seconds,
                     )
-                    if index in analysed.previews:
+                    if index in previews:
                         save_preview(context.folder.previews, index, frame, out)
                     put(out)
                     tick()

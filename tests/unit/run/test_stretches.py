@@ -19,7 +19,7 @@ from arfx.config.load import load
 from arfx.media.clip import probe
 from arfx.media.frames import ClipReader
 from arfx.run import stretches
-from arfx.run.analysis import AnalysisPass, Run, analyse_clip, in_order
+from arfx.run.analysis import Run, analyse_clip, in_order
 from arfx.run.executors import Results, Task, run_serial, run_threads
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import open_inputs
@@ -34,7 +34,7 @@ from tests.clips import (
     write_camera,
     write_model,
 )
-from tests.unit.run.test_analysis import written
+from tests.unit.run.test_analysis import Analysed, written
 
 FRAMES, KEYS, LEAST = 48, 12, 10
 Make = Callable[[Path], Path]
@@ -148,14 +148,13 @@ def analysed(
     run: Run = in_order,
     folds: tuple[str, ...] = (),
     **more: Any,
-) -> AnalysisPass:
+) -> Analysed:
     job.mkdir(exist_ok=True)
     asked = AnalysisJob((MARKER,), clip_camera(), **more)
     return analyse_clip(
-        probe(clip),
+        Span(probe(clip)),
         asked,
         {"light", *folds},
-        (None, None),
         lambda *_: None,
         JobFolder(job),
         "key",
@@ -266,9 +265,9 @@ def test_borders_do_not_show_in_the_facts(
 ) -> None:
     """One track and one path across them; a cut that lies on one is a cut."""
     clip = encoded(tmp_path / "cut.mp4", "libx264", x264("open-gop=0"), cut_at=24)
-    parts = analysed(clip, tmp_path / "parts").analysis
+    parts = analysed(clip, tmp_path / "parts")[0]
     monkeypatch.setattr(stretches, "LEAST_FRAMES", 1000)
-    one = analysed(clip, tmp_path / "one").analysis
+    one = analysed(clip, tmp_path / "one")[0]
     assert len([*(tmp_path / "one" / "stretches").iterdir()]) == 1
     assert (
         [f.shot for f in parts.facts]
