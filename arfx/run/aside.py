@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -52,9 +52,10 @@ def planned_aside(
         folder = JobFolder(Path(scratch) / "job")
         folder.open(resume=False)
         workers = planned_workers(options.executor) or options.workers
-        yield plan_job(
-            inputs, folder, replace(options, workers=workers, executor=None)
-        )
+        options = replace(options, workers=workers, executor=None)
+        with closing(options.processes):
+            job = plan_job(inputs, folder, options)
+        yield job
 
 
 def plan_document(job: Job) -> dict[str, Any]:

@@ -79,10 +79,6 @@ class JobFolder:
     placed = _inside("placed.json")
     _seal = _inside("seal.json")
 
-    def files(self) -> Iterator[Path]:
-        """All that arfx wrote into it."""
-        return (self.path / name for name, ours in self._entries() if ours)
-
     def worker_files(self, analysed: bool) -> Iterator[Path]:
         """What workers read of it, and what says that it is whole.
 
@@ -149,23 +145,20 @@ class JobFolder:
 
     def seal(self, job_key: str) -> None:
         """The analysis and the plan of this job are written, whole."""
-        write(self._seal, json.dumps({"job_key": job_key, "files": self._digests()}))
+        write(self._seal, self._seal_of(job_key))
 
     def unseal(self) -> None:
         self._seal.unlink(missing_ok=True)
 
     def sealed(self, job_key: str) -> bool:
         """Whether they are this job's, as they were written."""
-        try:
-            return bool(
-                json.loads(self._seal.read_bytes())
-                == {
-                    "job_key": job_key,
-                    "files": self._digests(),
-                }
-            )
-        except (OSError, ValueError, RecursionError):
-            return False
+        with contextlib.suppress(OSError):
+            return bool(self._seal.read_bytes() == self._seal_of(job_key))
+        return False
+
+    def _seal_of(self, job_key: str) -> bytes:
+        digests = {name: content_digest(self.path / name) for name in _SEALED}
+        return json.dumps({"job_key": job_key, "files": digests}).encode()
 
     def sealed_key(self) -> str:
         """Of the job that is sealed here. Raises OSError, ValueError, KeyError where none is."""
@@ -180,16 +173,9 @@ class JobFolder:
         """Files that were put in place, or were about to be, by a job that was killed
         before it had ended.
         """
-        try:
-            return frozenset(
-                (int(a), int(b), int(c))
-                for a, b, c in json.loads(self.placed.read_bytes())
-            )
-        except (OSError, ValueError, TypeError, OverflowError, RecursionError):
-            return frozenset()
-
-    def _digests(self) -> dict[str, str]:
-        return {name: content_digest(self.path / name) for name in _SEALED}
+        with contextlib.suppress(OSError, ValueError, TypeError, RecursionError):
+            return frozenset(map(tuple, json.loads(self.placed.read_bytes())))
+        return frozenset()
 
     def _entries(self, inside: str = "") -> Iterator[tuple[str, bool]]:
         """(path in the folder, whether arfx wrote it) of all that is in it, from the inside

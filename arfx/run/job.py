@@ -121,7 +121,7 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
             report(phase, done, total)
 
         options = replace(options, progress=progress)
-        with options.processes:
+        with contextlib.closing(options.processes):
             job = plan_job(inputs, folder, options, started, cluster)
             files = _render(job, options, cluster)
         start = time.perf_counter()
@@ -359,8 +359,9 @@ def _run(
         workers, threads = worker_count(pixels, options.workers)
         if min(workers, len(tasks)) <= 1:
             return run_serial(tasks, progress, work)
-        parallel = run_threads if threads else options.processes.run
-        return parallel(tasks, workers, progress, work)
+        if threads:
+            return run_threads(tasks, [work] * workers, progress)
+        return options.processes.run(tasks, workers, progress, work)
 
     if cluster is None:
         return run_here

@@ -10,14 +10,16 @@ import contextlib
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from typing import TypeVar
 
 from arfx.core import interrupt
+from arfx.errors import RenderError
 from arfx.media.clip import ClipInfo
 from arfx.media.frames import ClipReader, Frame
+from arfx.run.planned import DecodedFrames
 
 T = TypeVar("T")
 KEPT_BYTES = (
@@ -175,12 +177,12 @@ def clip_frames(
 
 
 def job_frame(
-    info: ClipInfo, pts: Sequence[int], index: int, alone: bool, careful: bool
-) -> Frame | None:
-    """Frame number `index` of a job; None where the file does not hold a frame of that time.
+    info: ClipInfo, decoded: DecodedFrames, index: int, alone: bool
+) -> Frame:
+    """Frame number `index` of a job. Where it is not found, decoding turns to be careful.
 
-    pts : presentation times of all of its frames;  careful : as of `ClipReader`, which is
-    turned to where a frame is not found otherwise"""
+    Raises RenderError where the file does not hold a frame of that time any more."""
+    pts, careful = decoded.pts, decoded.careful
     if not careful and _kept is not None and (kept := _kept.take(pts[index])):
         return replace(kept, index=index)
     for trying in sorted({careful, True}):
@@ -189,7 +191,11 @@ def job_frame(
         if frame is not None and frame.pts == pts[index]:
             source.frontier = next(iter(pts[index + 1 : index + 2]), None)
             return replace(frame, index=index)
-    return None
+    raise RenderError(
+        f"{info.path}: frame {index} could not be decoded again where the analysis saw it",
+        "the file has changed, or seeking in it is broken: copy it to another container"
+        " and try again",
+    )
 
 
 def release() -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import threading
 import time
 from bisect import bisect_left
@@ -37,10 +36,9 @@ from arfx.media.frames import (
 )
 from arfx.media.pose_files import CameraPath
 from arfx.run.folder import JobFolder, write
-from arfx.run.memory import peak_mb
 from arfx.run.parameters import required_facts
 from arfx.run.source import clip_frames, keep_frame
-from arfx.run.worker import Paths, frozen_job, keep_memory, who
+from arfx.run.worker import Paths, done_work, frozen_job, keep_memory
 
 LEAST_FRAMES = 120  # of a stretch: shorter ones would cost more than they save
 _ROUNDING_S = 1e-9
@@ -270,15 +268,7 @@ def analyse_stretch(
         # a strict decoder that began in an open group may miss what it needs not
         tables, seconds = observe(context, stretch, tick, alone, seeks=False)
     write(Path(target), to_bytes(tables))
-    return {
-        "file": Path(target).name,
-        "first": first,
-        "last": last,
-        "seconds": seconds,
-        "pid": os.getpid(),
-        "rss_mb": peak_mb(),
-        **who(),
-    }
+    return done_work(Path(target), first, last, seconds)
 
 
 class StretchFrame(NamedTuple):

@@ -11,8 +11,9 @@ import re
 import socket
 import threading
 import time
-from collections.abc import Callable
-from contextlib import nullcontext
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Set
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from pathlib import Path
@@ -29,7 +30,6 @@ from arfx.core.pixels import Plate
 from arfx.core.plan import FramePlan, levels_of
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, Stage
-from arfx.errors import RenderError
 from arfx.media.clip import ClipInfo, probe
 from arfx.media.depth_maps import DepthMaps
 from arfx.media.frame import Frame
@@ -63,6 +63,58 @@ class Context:
     depth: DepthMaps | None
     colours: ndarray | None
     ready: dict[tuple[str, str], ReadyStage] = field(default_factory=dict)
+
+    def prepare(self, needed: Set[tuple[str, str]]) -> None:
+        """Make stages ready at these levels. A chunk without work need not wait for
+        another's preparation."""
+        if needed <= self.ready.keys():
+            return
+        with _OPENING:
+            for name, level in sorted(needed - self.ready.keys()):
+                self.ready[name, level] = ReadyStage.of(
+                    self.stages[name], self.scene, level
+                )
+
+    def rendered(
+        self,
+        frame: Frame,
+        facts: FrameFacts,
+        plan: FramePlan,
+        seconds: Seconds,
+        stages: Seconds,
+    ) -> Frame:
+        """The frame as its plan makes it. seconds, stages : are added to, by phase and stage"""
+        if not plan.steps or plan.changed.empty:
+            return frame
+        plate, depth = Plate(plan.rect, frame.linear), None
+        ready = {s.stage: self.ready[s.stage, s.level] for s in plan.steps}
+        if self.depth is not None and any(
+            "depth" in at.stage.facts for at in ready.values()
+        ):
+            with timed(seconds, "decode"):
+                depth = real_depth_layer(
+                    self.depth, facts, frame, self.scene.camera, plan.rect
+                )
+        result = run_frame(plate, facts, plan, ready, depth, self.colours)
+        for name, s in result.seconds.items():
+            stages[name] += s
+        with timed(seconds, "edit"):
+            out = result.onto(frame)
+        seconds["edit"] += plate.seconds
+        return out
+
+
+Seconds = defaultdict[str, float]
+
+
+@contextmanager
+def timed(seconds: Seconds, phase: str) -> Iterator[None]:
+    """Adds what the body takes."""
+    start = time.perf_counter()
+    try:
+        yield
+    finally:
+        seconds[phase] += time.perf_counter() - start
 
 
 @cache
@@ -160,31 +212,16 @@ def render_chunk(
     keep_memory()
     with _OPENING:
         context = open_context(folder, job_key, paths)
-    decoded, previews = context.analysed.frames, context.analysed.previews
-    facts = {f.index: f for f in context.facts[first : last + 1]}
-    plans = {p.index: p for p in context.plans[first : last + 1]}
-    start = time.perf_counter()
-    needed = levels_of(plans.values())
-    if (
-        needed - context.ready.keys()
-    ):  # a chunk without work need not wait for another's preparation
-        with _OPENING:
-            for name, level in sorted(needed - context.ready.keys()):
-                context.ready[name, level] = ReadyStage.of(
-                    context.stages[name], context.scene, level
-                )
-    seconds: dict[str, float] = {
-        "prepare": time.perf_counter() - start,
-        "decode": 0.0,
-        "edit": 0.0,
-        "encode": 0.0,
-    }
-    stage_seconds: dict[str, float] = {}
+    facts = context.facts[first : last + 1]
+    plans = context.plans[first : last + 1]
+    decoded = context.analysed.frames
+    seconds, stages = Seconds(float), Seconds(float)
+    with timed(seconds, "prepare"):
+        context.prepare(levels_of(plans))
 
     def encode(out: Frame) -> None:
-        start = time.perf_counter()
-        writer.write(out)
-        seconds["encode"] += time.perf_counter() - start
+        with timed(seconds, "encode"):
+            writer.write(out)
 
     final, suffix = Path(target), chunk_suffix(context.output)
     aside = final.with_name(
@@ -193,94 +230,49 @@ def render_chunk(
     try:
         with ChunkWriter(context.output, context.info, aside) as writer:
             with behind(encode) if alone else nullcontext(encode) as put:
-                for index in range(first, last + 1):
-                    start = time.perf_counter()
-                    frame = job_frame(
-                        context.info, decoded.pts, index, alone, decoded.careful
-                    )
-                    seconds["decode"] += time.perf_counter() - start
-                    if frame is None:
-                        raise RenderError(
-                            f"{context.info.path}: frame {index} could not be decoded again"
-                            " where the analysis saw it",
-                            "the file has changed, or seeking in it is broken: copy it to"
-                            " another container and try again",
+                for of_frame, plan in zip(facts, plans, strict=True):
+                    with timed(seconds, "decode"):
+                        frame = job_frame(
+                            context.info, decoded, of_frame.index, alone
                         )
-                    out = _frame(
-                        context,
-                        frame,
-                        facts[index],
-                        plans[index],
-                        seconds,
-                        stage_seconds,
-                    )
-                    if index in previews:
-                        save_preview(context.folder.previews, index, frame, out)
+                    out = context.rendered(frame, of_frame, plan, seconds, stages)
+                    if frame.index in context.analysed.previews:
+                        previews = context.folder.previews
+                        save_preview(previews, frame.index, frame, out)
                     put(out)
                     tick()
-            start = time.perf_counter()
-        seconds["encode"] += time.perf_counter() - start
+            closing = time.perf_counter()
+        seconds["encode"] += time.perf_counter() - closing
         content = content_digest(aside)
         final = final.with_name(f"{final.name}.{content}{suffix}")
-        if (
-            final.is_dir() and content_digest(final) == content
-        ):  # another worker's, of the same images: it may be in use
-            remove_output(aside)
+        if final.is_dir() and content_digest(final) == content:
+            remove_output(aside)  # another worker's is there, and may be in use
         else:
             if final.is_dir():  # not what it was
                 remove_output(final)
             aside.replace(final)
     except OSError as e:
         raise disk_error(e, final) from None
+    return done_work(final, first, last, seconds, stages=stages)
+
+
+def done_work(
+    file: Path, first: int, last: int, seconds: Mapping[str, float], **more: Any
+) -> dict[str, Any]:
+    """What is told of a chunk or a stretch that is done: its file's name, seconds, who did
+    it, and the most memory that this process held.
+    """
+    thread, name = threading.current_thread(), f"{os.getpid()}"
+    if thread is not threading.main_thread():  # it may not be the only one that works
+        name = f"{name} {thread.name}"
     return {
-        "file": final.name,
+        "file": file.name,
         "first": first,
         "last": last,
         "seconds": seconds,
-        "stages": stage_seconds,
         "rss_mb": peak_mb(),
-        **who(),
+        "pid": os.getpid(),
+        "host": socket.gethostname(),
+        "worker": name,
+        **more,
     }
-
-
-def who() -> dict[str, str]:
-    """Of this worker: its host, and the process's number, with the thread's name where it
-    is not the only one that works.
-    """
-    thread = threading.current_thread()
-    name = (
-        f"{os.getpid()}"
-        if thread is threading.main_thread()
-        else f"{os.getpid()} {thread.name}"
-    )
-    return {"host": socket.gethostname(), "worker": name}
-
-
-def _frame(
-    context: Context,
-    frame: Frame,
-    facts: FrameFacts,
-    plan: FramePlan,
-    seconds: dict[str, float],
-    stage_seconds: dict[str, float],
-) -> Frame:
-    if not plan.steps or plan.changed.empty:
-        return frame
-    plate = Plate(plan.rect, frame.linear)
-    depth = None
-    if context.depth is not None and any(
-        "depth" in context.stages[s.stage].facts for s in plan.steps
-    ):
-        start = time.perf_counter()
-        depth = real_depth_layer(
-            context.depth, facts, frame, context.scene.camera, plan.rect
-        )
-        seconds["decode"] += time.perf_counter() - start
-    ready = {s.stage: context.ready[s.stage, s.level] for s in plan.steps}
-    result = run_frame(plate, facts, plan, ready, depth, context.colours)
-    for name, s in result.seconds.items():
-        stage_seconds[name] = stage_seconds.get(name, 0.0) + s
-    start = time.perf_counter()
-    out = result.onto(frame)
-    seconds["edit"] += time.perf_counter() - start + plate.seconds
-    return out

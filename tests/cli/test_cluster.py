@@ -380,9 +380,7 @@ def test_a_worker_that_is_killed_with_a_stretch_costs_that_only(
 
         monkeypatch.setattr(pool.Pool, "_submit", submit)
         with analysed(cut_clip, tmp_path / "job", cluster) as (_, facts, rows):
-            assert facts == found[1] and os.getpid() not in {
-                row.pid for row in rows
-            }
+            assert facts == found[1] and os.getpid() not in {row.pid for row in rows}
 
 
 @pytest.mark.usefixtures("mapped_only")

@@ -4,6 +4,7 @@ order.
 
 from __future__ import annotations
 
+import contextlib
 import random
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
@@ -138,7 +139,7 @@ def shuffled(
 
 def threads(workers: int) -> Run:
     return lambda tasks, frames, progress: run_threads(
-        tasks, workers, progress, analyse_stretch
+        tasks, [analyse_stretch] * workers, progress
     )
 
 
@@ -252,9 +253,9 @@ def test_processes_leave_the_same_bytes(clip_of: ClipOf, tmp_path: Path) -> None
         folder = JobFolder(tmp_path / f"{workers}")
         folder.path.mkdir()
         folder.open(resume=False)
-        rows = plan_job(
-            inputs, folder, Options(workers=workers, notice=lambda _: None)
-        ).log.rows()
+        options = Options(workers=workers, notice=lambda _: None)
+        with contextlib.closing(options.processes):
+            rows = plan_job(inputs, folder, options).log.rows()
         facts.append(folder.facts.read_bytes())
         made_by = {row.worker for row in rows if row.work == "stretch"}
     assert facts[0] == facts[1] and len(made_by) == 2
