@@ -85,7 +85,7 @@ class ClipReader:
     ) -> None:
         self.info = info
         self._format = info.frame_format()
-        self._threads = 1 if careful else threads
+        self.careful, self._threads = careful, 1 if careful else threads
         self._seeks, self._strict = seeks and not careful, strict
         # AVI counts frames in that order, and has no other times
         self._by_decoding = info.container == "avi"

@@ -63,13 +63,7 @@ def open_inputs(config: JobConfig, progress: Progress = lambda *_: None) -> Inpu
     check_complete(config)
     clip, camera, notices = open_clip(config)
     assert config.output.path is not None
-    settings = OutputSettings(
-        config.output.codec,
-        config.output.crf,
-        config.output.preset,
-        config.output.pixel_format,
-    )
-    output = plan_output(clip, config.output.path, settings)
+    output = plan_output(clip, config.output.path, output_settings(config))
     config, prints = job_prints(config)
     model = wait_for("model", lambda: job_model(config), progress)
     Scene(
@@ -93,6 +87,11 @@ def open_inputs(config: JobConfig, progress: Progress = lambda *_: None) -> Inpu
         None if config.input.poses is None else load_poses(config.input.poses),
         prints,
     )
+
+
+def output_settings(config: JobConfig) -> OutputSettings:
+    o = config.output
+    return OutputSettings(o.codec, o.crf, o.preset, o.pixel_format)
 
 
 def check_complete(config: JobConfig) -> None:

@@ -110,15 +110,11 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
         open_cluster(options.executor, options.map_path, options.notice) as cluster,
         frames_kept(),
     ):
+        report_progress = options.progress
 
-        def progress(
-            phase: str,
-            done: int,
-            total: int | None,
-            report: Progress = options.progress,
-        ) -> None:
+        def progress(phase: str, done: int, total: int | None) -> None:
             check()
-            report(phase, done, total)
+            report_progress(phase, done, total)
 
         options = replace(options, progress=progress)
         with contextlib.closing(options.processes):

@@ -17,46 +17,41 @@ from arfx.stages import ALWAYS, ON_DEPTH, STAGES, stages_with
 def parameters() -> Mapping[str, Mapping[str, Any]]:
     """Section name -> formula -> model of its settings, for every stage, the analysis and the
     light that it reads; the usual formula first."""
-    printed = {
-        formula: table["light"].Params
-        for formula, table in FORMULAS.items()
-        if "light" in table
-    }
+    light = {f: method.Params for f, method in _printed("light").items()}
     analysis: dict[str, dict[str, Any]] = {
         "analyse": {CORRECTED: AnalyseParams},
-        "light": {CORRECTED: LightParams, **printed},
+        "light": {CORRECTED: LightParams, **light},
     }
     return analysis | {
-        name: {f: stage.Params for f, stage in _classes(name).items()}
+        name: {f: stage.Params for f, stage in _stages(name).items()}
         for name in STAGES
     }
 
 
-def _classes(name: str) -> dict[str, type[Stage]]:
+def _printed(name: str) -> dict[str, Any]:
+    """Of a stage or the light, as papers print it: its class by formula."""
+    return {f: table[name] for f, table in FORMULAS.items() if name in table}
+
+
+def _stages(name: str) -> dict[str, type[Stage]]:
     """A stage's class by formula."""
-    return {
-        CORRECTED: STAGES[name],
-        **{
-            formula: table[name]
-            for formula, table in FORMULAS.items()
-            if name in table
-        },
-    }
+    return {CORRECTED: STAGES[name], **_printed(name)}
 
 
 def stage_of(name: str, params: Any) -> Stage:
     """The stage with these settings, under their formula."""
     formula = getattr(params, "formula", CORRECTED)
-    kind = _classes(name).get(formula, STAGES[name])
+    kind = _printed(name).get(formula, STAGES[name])
     with blamed(kind, "while it is made"):
-        return kind(params)
+        stage: Stage = kind(params)
+    return stage
 
 
 def under_other_formula(name: str, params: Any) -> Stage | None:
     """The stage under the formula that these settings do not choose, with those that both
     have; None = it has one formula.
     """
-    for formula, stage in _classes(name).items():
+    for formula, stage in _stages(name).items():
         if formula != getattr(params, "formula", CORRECTED):
             return stage(converted(params, stage.Params))
     return None

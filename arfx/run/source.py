@@ -57,18 +57,15 @@ class KeptFrames:
     clip are decoded once. None of a clip that is longer than KEPT_BYTES."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
         self._frames: dict[int, Frame] = {}
         self._left = KEPT_BYTES
 
     def add(self, frame: Frame) -> None:
-        size = sum(p.buffer_size for p in frame.picture.planes)
-        with self._lock:
-            if self._left >= 0:
-                self._left -= size
-                self._frames[frame.pts] = frame
-            if self._left < 0:
-                self._frames = {}
+        self._left -= sum(p.buffer_size for p in frame.picture.planes)
+        if self._left >= 0:
+            self._frames[frame.pts] = frame
+        else:
+            self._frames.clear()
 
     def take(self, pts: int) -> Frame | None:
         """The frame of that time, which is no longer kept."""
@@ -98,24 +95,13 @@ class ClipFrames:
     """Iterator over a clip's frames from a time on (None = from its start, whatever the
     times are), in order.
 
-    alone : decoding gets threads of its own;  careful, strict, seeks : as of `ClipReader`
     seconds : of decoding so far
     frontier : the next frame is the first at or after that time; None = nobody said so
     """
 
-    def __init__(
-        self,
-        info: ClipInfo,
-        first_pts: int | None,
-        alone: bool,
-        careful: bool = False,
-        strict: bool = False,
-        seeks: bool = True,
-    ) -> None:
-        self.info, self.careful, self.frontier = info, careful, first_pts
-        self.seconds = 0.0
-        self.reader = ClipReader(info, 0 if alone else 1, careful, strict, seeks)
-        self._frames = self.reader.frames(first_pts)
+    def __init__(self, reader: ClipReader, first_pts: int | None) -> None:
+        self.reader, self.frontier, self.seconds = reader, first_pts, 0.0
+        self._frames = reader.frames(first_pts)
         self._back: Frame | None = None
 
     def __iter__(self) -> ClipFrames:
@@ -136,17 +122,23 @@ class ClipFrames:
         """It belongs to what begins at that time."""
         self._back, self.frontier = frame, frontier
 
-    def goes_on_at(self, pts: int, careful: bool) -> bool:
-        """Whether who wants the frames from a time on reads on here."""
-        if self.frontier is None or careful > self.careful:
+    def goes_on_at(self, info: ClipInfo, pts: int | None, careful: bool) -> bool:
+        """Whether who wants the frames of that clip from a time on reads on here."""
+        reader, frontier = self.reader, self.frontier
+        if frontier is None or pts is None or reader.info != info:
             return False
-        return self.frontier == pts or (self.careful and self.frontier < pts)
+        if careful > reader.careful:
+            return False
+        return frontier == pts or (reader.careful and frontier < pts)
 
-    def close(self) -> None:
-        self.reader.close()
+
+class _OfThread(threading.local):
+    """reading : what the thread read from last"""
+
+    reading: ClipFrames | None = None
 
 
-_of_thread = threading.local()  # reading : what the thread read from last
+_of_thread = _OfThread()
 
 
 def clip_frames(
@@ -159,20 +151,15 @@ def clip_frames(
 ) -> ClipFrames:
     """The frames that this thread read last, if they go on at that time of the same clip;
     else new ones.
+
+    alone : decoding gets threads of its own;  careful, strict, seeks : as of `ClipReader`
     """
-    last: ClipFrames | None = getattr(_of_thread, "reading", None)
-    if (
-        last is not None
-        and last.info == info
-        and seeks
-        and first_pts is not None
-        and last.goes_on_at(first_pts, careful)
-    ):
+    last = _of_thread.reading if seeks else None
+    if last is not None and last.goes_on_at(info, first_pts, careful):
         return last
     release()
-    _of_thread.reading = new = ClipFrames(
-        info, first_pts, alone, careful, strict, seeks
-    )
+    reader = ClipReader(info, 0 if alone else 1, careful, strict, seeks)
+    _of_thread.reading = new = ClipFrames(reader, first_pts)
     return new
 
 
@@ -200,6 +187,6 @@ def job_frame(
 
 def release() -> None:
     """Close what this thread reads from."""
-    if (last := getattr(_of_thread, "reading", None)) is not None:
-        last.close()
+    if _of_thread.reading is not None:
+        _of_thread.reading.reader.close()
         _of_thread.reading = None

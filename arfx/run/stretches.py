@@ -271,13 +271,6 @@ def analyse_stretch(
     return done_work(Path(target), first, last, seconds)
 
 
-class StretchFrame(NamedTuple):
-    """A frame of a stretch. frame : from 0"""
-
-    frame: int
-    pts: int
-
-
 class StretchEnd(NamedTuple):
     """How a stretch ended. before : frames of the clip that were decoded before the span;
     ended : it reaches the clip's end;  truncated : why early, or empty"""
@@ -297,12 +290,12 @@ def observe(
     alone: bool,
     seeks: bool = True,
 ) -> tuple[Tables, dict[str, float]]:
-    """What the frames of a stretch show, and seconds: the tables of its `Observation`, and of
-    StretchFrame and StretchEnd.
+    """What the frames of a stretch show, and seconds: the tables of its `Observation`, of
+    the frames' times, and of StretchEnd.
 
     seeks : else the clip is decoded from its start"""
     observation = Observation(context.job, context.wanted)
-    shown = list[StretchFrame]()
+    pts = list[int]()
     end = StretchEnd(0, False, "")
     careful = context.stretches.careful
     strict = not careful and (stretch.begins is None or not alone)
@@ -344,17 +337,17 @@ def observe(
             start = time.perf_counter()
             luma = np.ascontiguousarray(frame.luma())
             after = None if following is None else following.luma
-            index = stretch.first + len(shown)
+            index = stretch.first + len(pts)
             observation.step(AnalysisFrame(index, frame.time_s, luma, frame, after))
             analyse_s += time.perf_counter() - start
-            shown.append(StretchFrame(len(shown), frame.pts))
+            pts.append(frame.pts)
             if not careful:
                 keep_frame(frame)
             tick()
             frame = following
     tables = {
         **observation.tables(),
-        FRAMES: by_columns(shown, StretchFrame),
+        FRAMES: {"pts": np.array(pts)},
         END: by_columns([end], StretchEnd),
     }
     return tables, {"decode": source.seconds - decoded_s, "analyse": analyse_s}

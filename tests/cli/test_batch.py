@@ -291,7 +291,7 @@ def test_what_is_wrong_is_refused_before_any_work(
             "shots/one.mp4 and other/one.mp4 go to one output",
             "{parent}",
         ],
-        ("shots", "-o", "out/{stem}_%04d.png"): ["go to one folder, out"],
+        ("shots", "-o", "out/{stem}_%04d.png"): ["go to one output, out"],
         ("shots", "-o", "out/{clip}.mp4"): ["there is no field {clip}", "{parent}"],
         ("shots", "-o", "shots/{stem}.mp4"): ["shots/one.mp4 is also an input"],
         ("shots", "-o", "out/{stem}.gif"): ["unknown output format '.gif'"],
