@@ -35,7 +35,11 @@ from arfx.media.images import load_image, load_print
 from arfx.media.models import load_model
 from arfx.media.output import OutputPlan, OutputSettings, plan_output
 from arfx.media.pose_files import CameraPath, load_poses
-from arfx.run.parameters import quality_notices, with_machine_settings
+from arfx.run.parameters import (
+    make_stages,
+    quality_notices,
+    with_machine_settings,
+)
 
 CARD = 0.17  # of the print's side: what a sheet that is held in the hand has beyond it, at least
 
@@ -81,7 +85,10 @@ def open_inputs(config: JobConfig, progress: Progress = lambda *_: None) -> Inpu
         model,
         marker_map(config),
         output,
-        (*notices, *model.notices, *output.notices, *quality_notices(config)),
+        (
+            *(*notices, *model.notices, *output.notices),
+            *quality_notices(config.pipeline.quality, make_stages(config)),
+        ),
         panorama(config),
         maps,
         None if config.input.poses is None else load_poses(config.input.poses),

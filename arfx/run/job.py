@@ -187,24 +187,21 @@ def plan_job(
     if fresh:
         workers = options.workers if cluster is None else cluster.workers
         size = _size(inputs, analysed, stages, log.spent(analysis_key, []), workers)
-        notices: list[str] = []
         plans, document = wait_for(
             "plan",
             lambda: choose(
-                config,
-                stages,
-                facts,
-                scene,
-                policy,
-                errors,
-                prices,
-                size,
-                notices.append,
+                config, stages, facts, scene, policy, errors, prices, size
             ),
             options.progress,
         )
-        for notice in notices:
-            options.notice(notice)
+        levels = document["levels"]
+        if not levels["met"]:
+            options.notice(levels["why"])
+        if levels["by"] == "budget" and not prices.calibrated:
+            options.notice(
+                "the budget rests on shipped prices, wide intervals: `arfx bench"
+                " --calibrate` measures this machine's"
+            )
         write(folder.plan_summary, json.dumps(document, indent=1))
         write(folder.plan, (json.dumps(p.to_json()) + "\n" for p in plans))
         folder.seal(job_key)
@@ -242,7 +239,7 @@ def _size(
         frames,
         area_px / 1e6,
         spent.seconds.get("decode", 0.0),
-        spent.wall_s,
+        work_clock() - spent.wall_s,
         inputs.output.codec,
         workers,
         0 if threads or workers == 1 else workers,

@@ -10,7 +10,7 @@ from arfx.config.sections import JobConfig
 from arfx.core.settings import converted
 from arfx.core.stage import Stage, blamed
 from arfx.errors import ConfigError
-from arfx.papers import CORRECTED, FORMULAS
+from arfx.papers import CORRECTED, FORMULAS, PAPER
 from arfx.stages import ALWAYS, ON_DEPTH, STAGES, stages_with
 
 
@@ -120,17 +120,23 @@ def with_machine_settings(config: JobConfig) -> JobConfig:
     return config.model_copy(update=settled)
 
 
-def quality_notices(config: JobConfig) -> list[str]:
-    """What a quality by name comes to where an effect of the job has no such level."""
-    quality = config.pipeline.quality
-    if quality != "high" or any(
-        quality in stage.levels for stage in make_stages(config).values()
-    ):
-        return []
-    return [
-        "quality high is standard: no effect of this job has a level between standard and"
-        " reference"
-    ]
+def quality_notices(quality: str, stages: Mapping[str, Stage]) -> list[str]:
+    """What a quality by name comes to where stages of the job have no such level."""
+    without = [name for name, stage in stages.items() if quality not in stage.levels]
+    printed = ", ".join(
+        n for n in without if getattr(stages[n].params, "formula", "") == PAPER
+    )
+    notices = []
+    if printed:
+        notices.append(
+            f"--quality {quality}: {printed} as printed, which has one level, standard"
+        )
+    if quality == "high" and len(without) == len(stages):
+        notices.append(
+            "quality high is standard: no effect of this job has a level between standard"
+            " and reference"
+        )
+    return notices
 
 
 def light_method(config: JobConfig) -> Callable[..., Analysis] | None:

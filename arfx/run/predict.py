@@ -7,7 +7,7 @@ beside it) + what every worker prepares
 prepares again.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from arfx.config.sections import JobConfig
@@ -18,7 +18,6 @@ from arfx.core.plan import FramePlan, levels_of
 from arfx.core.scene import Scene
 from arfx.core.stage import Stage
 from arfx.errors import ConfigError
-from arfx.papers import PAPER
 from arfx.plan.clip import LevelPolicy, plan_clip
 from arfx.plan.errors import Errors
 from arfx.plan.explain import without_price
@@ -41,15 +40,15 @@ class JobSize(NamedTuple):
 
     frame_mpx : millions of pixels of a frame;  frames : of the job;  decode_s : of all
     frames, as the analysis measured it
-    before_s : seconds up to now;  workers, processes : how many render, and how many of
-    them are further processes
+    began : what `work_clock` said before any of the job was done
+    workers, processes : how many render, and how many of them are further processes
     checked : stages that the report may prepare once more, for their health
     """
 
     frames: int
     frame_mpx: float
     decode_s: float
-    before_s: float
+    began: float
     codec: str
     workers: int
     processes: int
@@ -114,7 +113,7 @@ def predict(
     alone = 1.0 if size.processes else prices.alone
     share = _share(plans, work, size, edit_s, encode_s, alone)
     phases = {
-        "before": measured(size.before_s),
+        "before": measured(work_clock() - size.began),
         "prepare": measured(0.0)
         if prepared
         else prepare(levels_of(plans), size, prices),
@@ -224,22 +223,6 @@ def level_policy(
     return LevelPolicy(p.quality, p.budget, p.max_error)
 
 
-def without_level(stages: Mapping[str, Stage], quality: str) -> str:
-    """What to say of printed methods, which do not have the quality that was asked for; ""
-    where there is nothing to say.
-    """
-    names = [
-        n
-        for n, s in stages.items()
-        if getattr(s.params, "formula", "") == PAPER and quality not in s.levels
-    ]
-    return (
-        f"--quality {quality}: {', '.join(names)} as printed, which has one level, standard"
-        if names
-        else ""
-    )
-
-
 def choose(
     config: JobConfig,
     stages: Mapping[str, Stage],
@@ -249,21 +232,13 @@ def choose(
     errors: Errors,
     prices: Prices,
     size: JobSize,
-    notice: Callable[[str], None],
 ) -> tuple[list[FramePlan], dict[str, Any]]:
     """The plans of all frames, and {predicted, levels}: final, whatever the job measures later."""
     if config.pipeline.fps is not None:
         policy = policy._replace(budget_s=len(facts) / config.pipeline.fps)
 
-    began = work_clock()
-
-    def by_now() -> JobSize:
-        return size._replace(
-            before_s=size.before_s + work_clock() - began
-        )  # planning takes its time too
-
     def upper_s(plans: Sequence[FramePlan], work: Prediction) -> float:
-        wall = predict(plans, work, by_now(), prices, prepared=True).wall
+        wall = predict(plans, work, size, prices, prepared=True).wall
         if wall is None:
             raise ConfigError(
                 f"a budget needs the price of everything, and encoding {size.codec} has"
@@ -274,9 +249,8 @@ def choose(
 
     def prepare_cost(stage: str, level: str) -> Prediction | None:
         found = prepare_one(stage, level, size, prices)
-        return (
-            None if found is None else found.times(size.workers)
-        )  # no worker helps another with it
+        # no worker helps another with it
+        return None if found is None else found.times(size.workers)
 
     plan = plan_clip(
         list(stages.values()),
@@ -289,19 +263,7 @@ def choose(
         config.pipeline.skip,
         prepare_cost,
     )
-    if not plan.choice.met:
-        notice(plan.choice.why)
-    if (
-        policy.budget_s is None
-        and policy.max_error is None
-        and (printed := without_level(stages, policy.quality))
-    ):
-        notice(printed)
-    if policy.budget_s is not None and not prices.calibrated:
-        notice(
-            "the budget rests on shipped prices, wide intervals: `arfx bench --calibrate`"
-            " measures this machine's"
-        )
+    predicted = predict(plan.plans, time_of_stages(plan.plans), size, prices)
     by = (
         "budget"
         if policy.budget_s is not None
@@ -310,11 +272,7 @@ def choose(
         else "quality"
     )
     return plan.plans, {
-        "predicted": (
-            predict(plan.plans, time_of_stages(plan.plans), by_now(), prices).to_json(
-                prices
-            )
-        ),
+        "predicted": predicted.to_json(prices),
         "levels": {
             "by": by,
             "budget_s": policy.budget_s,

@@ -30,7 +30,7 @@ SIZE = JobSize(
     frames=120,
     frame_mpx=0.1,
     decode_s=1.2,
-    before_s=2.0,
+    began=5.0,
     codec="h264",
     workers=2,
     processes=0,
@@ -106,12 +106,8 @@ def test_what_planning_takes_is_in_the_prediction(monkeypatch) -> None:
     clock = [7.0]
     monkeypatch.setattr(predict_module, "plan_clip", slow)
     monkeypatch.setattr("time.perf_counter", lambda: clock[0])
-    made = choose(
-        JobConfig(), {}, [], None, LevelPolicy(), Errors(), PRICES, SIZE, print
-    )[1]  # type: ignore[arg-type]
-    assert made["predicted"]["phases"]["before"]["s"] == pytest.approx(
-        SIZE.before_s + 0.5
-    )
+    made = choose(JobConfig(), {}, [], None, LevelPolicy(), Errors(), PRICES, SIZE)[1]  # type: ignore[arg-type]
+    assert made["predicted"]["phases"]["before"]["s"] == pytest.approx(2.5)
 
 
 def test_a_lone_worker_encodes_while_it_renders() -> None:
