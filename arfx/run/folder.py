@@ -277,6 +277,9 @@ class Lines(Generic[T]):
             ]
 
 
+WHOLE_BYTES = 256 << 20  # of a file whose digest is of all of it
+
+
 def digest(*parts: Any) -> str:
     """16 hex digits over JSON-able parts."""
     h = hashlib.blake2b(digest_size=8)
@@ -286,9 +289,7 @@ def digest(*parts: Any) -> str:
     return h.hexdigest()
 
 
-def file_digest(
-    path: Path, whole_up_to: int = 256 << 20, with_time: bool = True
-) -> str:
+def file_digest(path: Path, with_time: bool = True) -> str:
     """Content digest of a file; of a larger one its size, time and three samples, so that
     an hour of 4K costs nothing.
 
@@ -297,7 +298,7 @@ def file_digest(
     h = hashlib.blake2b(digest_size=16)
     h.update(str(stat.st_size).encode())
     with path.open("rb") as f:
-        if stat.st_size <= whole_up_to:
+        if stat.st_size <= WHOLE_BYTES:
             hashlib.file_digest(f, lambda: h)
         else:
             if with_time:
