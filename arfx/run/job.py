@@ -242,7 +242,7 @@ def _size(
         work_clock() - spent.wall_s,
         inputs.output.codec,
         workers,
-        0 if threads or workers == 1 else workers,
+        threads or workers == 1,
         inputs.model.face_count / 1e6,
         frozenset(
             name

@@ -7,6 +7,7 @@ beside it) + what every worker prepares
 prepares again.
 """
 
+from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -27,12 +28,7 @@ from arfx.run.schedule import borders, elapsed
 DECODE_SPREAD = (
     0.25  # decoding again beside the rendering, against decoding beside the analysis
 )
-UNSHARED = (
-    "before",
-    "prepare",
-    "join",
-    "report",
-)  # phases that the workers do not share
+SHARED = ("decode", "stages", "edit", "encode")  # phases that the workers share
 
 
 class JobSize(NamedTuple):
@@ -41,7 +37,7 @@ class JobSize(NamedTuple):
     frame_mpx : millions of pixels of a frame;  frames : of the job;  decode_s : of all
     frames, as the analysis measured it
     began : what `work_clock` said before any of the job was done
-    workers, processes : how many render, and how many of them are further processes
+    workers : how many render;  threads : of this process
     checked : stages that the report may prepare once more, for their health
     """
 
@@ -51,7 +47,7 @@ class JobSize(NamedTuple):
     began: float
     codec: str
     workers: int
-    processes: int
+    threads: bool
     mfaces: float
     checked: frozenset[str]
 
@@ -70,7 +66,7 @@ class JobPrediction(NamedTuple):
         """Of the whole job; None where a phase is not known. Errors of the phases are
         correlated: a machine that is slower today is so for all of them."""
         known = [
-            p if name in UNSHARED else p.times(self.share)
+            p.times(self.share) if name in SHARED else p
             for name, p in self.phases.items()
             if p is not None
         ]
@@ -106,43 +102,40 @@ def predict(
         "frames": float(len(changed)),
         "mpx": sum(p.rect.area + p.changed.area for p in changed) / 1e6,
     }
-    edit = prices.predict("edit", edited) if changed else measured(0.0)
     whole = {"frames": float(size.frames), "mpx": size.frames * size.frame_mpx}
-    encode = prices.predict(f"encode {size.codec}", whole)
-    edit_s, encode_s = (0.0 if p is None else p.seconds for p in (edit, encode))
-    alone = 1.0 if size.processes else prices.alone
-    share = _share(plans, work, size, edit_s, encode_s, alone)
-    phases = {
-        "before": measured(work_clock() - size.began),
-        "prepare": measured(0.0)
-        if prepared
-        else prepare(levels_of(plans), size, prices),
+    shared = {
         "decode": with_spread(size.decode_s, DECODE_SPREAD),
         "stages": work,
-        "edit": edit,
-        "encode": encode,
+        "edit": prices.predict("edit", edited) if changed else measured(0.0),
+        "encode": prices.predict(f"encode {size.codec}", whole),
+    }
+    levels = levels_of(plans)
+    phases = {
+        "before": measured(work_clock() - size.began),
+        "prepare": measured(0.0) if prepared else prepare(levels, size, prices),
+        **shared,
         "join": prices.predict("join", whole),
         "report": prepare(
-            {at for at in levels_of(plans) if at[0] in size.checked}, size, prices
+            {at for at in levels if at[0] in size.checked}, size, prices
         ),
     }
+    seconds = {name: p.seconds for name, p in shared.items() if p is not None}
+    share = _share(plans, defaultdict(float, seconds), size, prices.alone)
     return JobPrediction(phases, share, size.workers)
 
 
 def _share(
     plans: Sequence[FramePlan],
-    work: Prediction | None,
+    seconds: Mapping[str, float],
     size: JobSize,
-    edit_s: float,
-    encode_s: float,
     alone: float,
 ) -> float:
     """Wall seconds per second of work that the workers share, chunk by chunk. A worker that
     is alone encodes while it renders.
 
-    alone : as of `elapsed`"""
-    stages_s = 0.0 if work is None else work.seconds
-    total_s = size.decode_s + edit_s + encode_s + stages_s
+    seconds : of the phases that they share;  alone : as of `elapsed`, of threads"""
+    total_s = sum(seconds.values())
+    stages_s, encode_s = seconds["stages"], seconds["encode"]
     if total_s <= 0:
         return 1.0 / size.workers
     if size.workers == 1:
@@ -154,7 +147,7 @@ def _share(
         per_frame_s * (b - a + 1) + scale * sum(planned[a : b + 1])
         for a, b in borders(size.frames)
     ]
-    return elapsed(loads, size.workers, alone) / total_s
+    return elapsed(loads, size.workers, alone if size.threads else 1.0) / total_s
 
 
 def prepare(

@@ -33,7 +33,7 @@ SIZE = JobSize(
     began=5.0,
     codec="h264",
     workers=2,
-    processes=0,
+    threads=True,
     mfaces=0.0,
     checked=frozenset(),
 )
