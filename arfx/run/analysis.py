@@ -71,39 +71,33 @@ def analyse_clip(
         times = reader.times()
 
     def analysed(stretches: Stretches, run: Run) -> tuple[Analysis, DecodedFrames]:
-        context = Context(
-            replace(job, frames=stretches.frames), wanted, span, stretches
-        )
-        files: dict[Stretch, Path] = {
-            part: folder.stretches / f"{part.first:06d}-{part.last:06d}.{key}"
-            for part in stretches.parts
-        }
+        context = Context(job, wanted, span)
+        files = {part: folder.stretches / part.name(key) for part in stretches.parts}
         folder.stretches.mkdir(exist_ok=True)
         keep(folder, key, context)
         todo = {part: file for part, file in files.items() if _tables(file) is None}
         for file in todo.values():
             file.unlink(missing_ok=True)
-        before = stretches.frames - sum(p.last + 1 - p.first for p in todo)
-        total = stretches.frames if stretches.parts[-1].last else None
+        frames = stretches.parts[0].of
+        before = frames - sum(part.frames for part in todo)
+        total = frames if frames > 1 else None
 
         def tell(done: int) -> None:
             """done : frames that were analysed, counted as often as that happened"""
             progress("analyse", min(before + done, total or before + done), total)
 
-        tasks: list[Task] = [
-            (str(folder.path), key, part.first, part.last, str(file))
-            for part, file in todo.items()
-        ]
-        with contextlib.closing(run(tasks, stretches.frames, tell)) as results:
+        tasks = [(str(folder.path), key, part) for part in todo]
+        with contextlib.closing(run(tasks, frames, tell)) as results:
             for result in results:
-                log.note(STRETCH, result["file"], **result)
+                log.note(STRETCH, **result)
         start = time.perf_counter()
-        found, frames = _joined(context, files, [] if times is None else times.pts)
+        stated = [] if times is None else times.pts
+        found, decoded = _joined(context, stretches, files, stated)
         seconds = {"analyse": time.perf_counter() - start}
         names = [file.name for file in files.values()]
         log.note(ANALYSIS, key, seconds, stretches=names)
-        progress("analyse", len(frames.pts), len(frames.pts))
-        return found, frames
+        progress("analyse", len(decoded.pts), len(decoded.pts))
+        return found, decoded
 
     stretches, damaged = cut(span, times), reader.damaged
     try:
@@ -124,10 +118,13 @@ def _tables(file: Path) -> Tables | None:
 
 
 def _joined(
-    context: Context, files: Mapping[Stretch, Path], stated: list[int]
+    context: Context,
+    stretches: Stretches,
+    files: Mapping[Stretch, Path],
+    stated: list[int],
 ) -> tuple[Analysis, DecodedFrames]:
     """What the stretches hold together. stated : times of the clip's packets"""
-    stretches, span = context.stretches, context.span
+    span, careful = context.span, stretches.parts[0].careful
     rows, pts = ClipRows(), list[int]()
     before, end = stretches.before, StretchEnd(0, False, "")
     for part, file in files.items():
@@ -152,4 +149,4 @@ def _joined(
     frame_span = (times, before, end.ended and not truncated)
     analysis = analyse(rows, context.job, context.wanted, frame_span)
     gaps = [(span.since_s(t), count) for t, count in missing]
-    return analysis, DecodedFrames(pts, truncated, stretches.careful, gaps, False)
+    return analysis, DecodedFrames(pts, truncated, careful, gaps, False)

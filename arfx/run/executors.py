@@ -28,7 +28,7 @@ from arfx.run.schedule import next_task, work_queues
 from arfx.run.source import release
 
 Done = Callable[[int], None]  # is told how many frames are done
-# arguments of a work; of a chunk and a stretch: folder, key, first, last, target
+# arguments of a work; of a chunk and a stretch: folder, key, `FrameRange`
 Task = tuple[Any, ...]
 # work(*task, tick, alone=False): a function of a module; tick() after every frame
 Work = Callable[..., dict[str, Any]]

@@ -1,7 +1,7 @@
 """The job folder: what is written where, whole or not at all, what in it is arfx's own, and
 what is still good.
 
-job.toml (frozen) · inputs.json · stretches.json · stretches/ · frames.json · facts.jsonl ·
+job.toml (frozen) · inputs.json · stretches/ · frames.json · facts.jsonl ·
 environment.maps · plan.jsonl · plan_summary.json · seal.json · placed.json · chunks/ ·
 timings.jsonl · previews/ · report.json"""
 
@@ -40,7 +40,7 @@ _CHUNK = r"(?:(?:[0-9A-Za-z]+-)?\d+-\d+-)?\d{6,}-\d{6,}(?:\.[0-9a-f]{16}){1,2}(?
 _FOLDERS = re.compile(rf"chunks|stretches|previews|joined\.part|chunks/{_CHUNK}")
 _UNMARKED = re.compile(rf"(?:{_LOCKS})|{PART}|joined\.part(?:/(?:{_IMAGE}))?")
 _MARKED = re.compile(
-    rf"job\.toml|environment\.maps|(?:inputs|stretches|frames|plan_summary|seal|placed|report)\.json|(?:facts|plan|timings)\.jsonl"
+    rf"job\.toml|environment\.maps|(?:inputs|frames|plan_summary|seal|placed|report)\.json|(?:facts|plan|timings)\.jsonl"
     rf"|stretches/(?:\d{{6,}}-\d{{6,}}\.[0-9a-f]{{16}}|{PART})|chunks/{_CHUNK}(?:/(?:{_IMAGE}))?|previews/\d{{6,}}\.bmp"
 )
 _SEALED = (
@@ -72,7 +72,6 @@ class JobFolder:
     timings = _inside("timings.jsonl")
     previews = _inside("previews")
     report = _inside("report.json")
-    stretch_list = _inside("stretches.json")  # where the analysis cuts the clip
     stretches = _inside("stretches")  # what each was found to hold
     joined = _inside("joined.part")  # the output, until it is whole
     # fingerprints of the output's files, from just before it is put in place
@@ -85,11 +84,8 @@ class JobFolder:
         analysed : to render, else to analyse
         """
         yield from (self.job, self.inputs)
-        yield from (
-            (*(self.path / name for name in _SEALED), self._seal)
-            if analysed
-            else (self.stretch_list,)
-        )
+        if analysed:
+            yield from (*(self.path / name for name in _SEALED), self._seal)
 
     def check_foreign_files(self) -> None:
         """Raises ConfigError where the folder holds anything that arfx did not write."""

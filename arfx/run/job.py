@@ -49,12 +49,12 @@ from arfx.run.parameters import light_method, make_stages, required_facts
 from arfx.run.place import Places
 from arfx.run.planned import MAPS, ClipAnalysis, Job, JobPlan, places_in_words
 from arfx.run.predict import JobSize, choose, level_policy
-from arfx.run.schedule import borders, find_chunk
+from arfx.run.schedule import chunks_of, find_chunk
 from arfx.run.source import frames_kept
 from arfx.run.stretches import Span, analyse_stretch
 from arfx.run.summary import build_report
 from arfx.run.times import CHUNK, TimeSpent, WorkLog
-from arfx.run.worker import keep_memory, render_chunk
+from arfx.run.worker import WorkerInputs, keep_memory, render_chunk
 
 # 160 frames of 720p: about as long as it takes to start a process and load its kernels
 SHORT_JOB_PX = 150_000_000
@@ -170,12 +170,10 @@ def plan_job(
         else errors_of_clip(config.pipeline.tradeoff)
     )
     write(folder.job, MARK + to_toml(frozen(config)))
-    write(
-        folder.inputs,
-        json.dumps(
-            {"camera": inputs.camera.to_json(), "output": inputs.output.to_json()}
-        ),
+    for_workers = WorkerInputs(
+        analysis_key, inputs.camera, inputs.output, inputs.prints
     )
+    write(folder.inputs, json.dumps(for_workers.to_json()))
     fresh = not folder.sealed(job_key)
     if fresh:
         folder.unseal()
@@ -234,7 +232,7 @@ def _size(
 ) -> JobSize:
     frames, area_px = len(analysed.frames.pts), inputs.camera.rect.area
     workers, threads = worker_count(frames * area_px, stated)
-    workers = max(min(workers, len(borders(frames))), 1)
+    workers = max(min(workers, len(chunks_of(frames))), 1)
     return JobSize(
         frames,
         area_px / 1e6,
@@ -364,25 +362,24 @@ def _run(
 def _render(job: Job, options: Options, cluster: Cluster | None = None) -> list[Path]:
     """The chunks' files, in order; those that are there already are kept."""
     folder, suffix = job.folder, chunk_suffix(job.inputs.output)
-    files = {c: find_chunk(folder.chunks, c.name, suffix) for c in job.chunks}
-    todo = {c.first: c for c, file in files.items() if file is None}
-    left, total = sum(c.frames for c in todo.values()), len(job.facts)
-    tasks: list[Task] = [
-        (str(folder.path), job.key, c.first, c.last, str(folder.chunks / c.name))
-        for c in todo.values()
-    ]
+    files = {
+        c.first: find_chunk(folder.chunks, c.name(job.key), suffix)
+        for c in job.chunks
+    }
+    todo = [c for c in job.chunks if files[c.first] is None]
+    left, total = sum(c.frames for c in todo), len(job.facts)
 
     def progress(done: int) -> None:
         options.progress("render", total - left + done, total)
 
     progress(0)
     run = _run(render_chunk, job.inputs, folder, job.key, options, cluster)
+    tasks = [(str(folder.path), job.key, chunk) for chunk in todo]
     # an error here too stops the workers
     with contextlib.closing(run(tasks, total, progress)) as results:
         for result in results:
-            chunk = todo[result["first"]]
-            files[chunk] = folder.chunks / result["file"]
-            job.log.note(CHUNK, chunk.name, **result)
+            files[result["first"]] = folder.path / result["file"]
+            job.log.note(CHUNK, **result)
     progress(left)
     return [path for path in files.values() if path is not None]
 

@@ -21,7 +21,7 @@ from arfx.core.scene import Scene
 from arfx.core.stage import Stage
 from arfx.run.folder import JobFolder, write
 from arfx.run.inputs import Inputs, make_scene
-from arfx.run.schedule import Chunk, borders
+from arfx.run.schedule import FrameRange, chunks_of
 from arfx.run.times import WorkLog
 
 MAPS = "maps"  # the table of a clip's surroundings, in a file of their own
@@ -119,10 +119,8 @@ class Job:
     log: WorkLog
 
     @property
-    def chunks(self) -> list[Chunk]:
-        return [
-            Chunk(first, last, self.key) for first, last in borders(len(self.facts))
-        ]
+    def chunks(self) -> list[FrameRange]:
+        return chunks_of(len(self.facts))
 
 
 def places_in_words(missing: Sequence[tuple[float, int]]) -> str:

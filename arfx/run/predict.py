@@ -23,7 +23,7 @@ from arfx.plan.clip import LevelPolicy, plan_clip
 from arfx.plan.errors import Errors
 from arfx.plan.explain import without_price
 from arfx.plan.levels import sum_correlated
-from arfx.run.schedule import borders, elapsed
+from arfx.run.schedule import chunks_of, elapsed
 
 DECODE_SPREAD = (
     0.25  # decoding again beside the rendering, against decoding beside the analysis
@@ -144,8 +144,8 @@ def _share(
     scale = stages_s / (sum(planned) or 1.0)
     per_frame_s = (total_s - stages_s) / size.frames
     loads = [
-        per_frame_s * (b - a + 1) + scale * sum(planned[a : b + 1])
-        for a, b in borders(size.frames)
+        per_frame_s * c.frames + scale * sum(planned[c.first : c.last + 1])
+        for c in chunks_of(size.frames)
     ]
     return elapsed(loads, size.workers, alone if size.threads else 1.0) / total_s
 

@@ -43,7 +43,7 @@ def build_report(job: Job, join_s: float) -> dict[str, Any]:
     uneven = bool(len(steps) and steps.max() - steps.min() > 0.1 * np.median(steps))
     last_s = float(np.median(steps)) if len(pts) > 1 else 1.0 / (info.fps or 25.0)
     seconds = float(pts[-1] - pts[0]) + last_s
-    spent = job.log.spent(job.analysis_key, (c.name for c in job.chunks))
+    spent = job.log.spent(job.analysis_key, (c.name(job.key) for c in job.chunks))
     rows = summarise(job.plan.frames, job.stages, job.inputs.camera.rect.area)
     for row in rows:
         row["measured_s"] = spent.stages.get(row["name"], 0.0)

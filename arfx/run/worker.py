@@ -5,7 +5,6 @@ A worker is sent a range, never pixels, and reads the rest from the job folder.
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import socket
@@ -17,13 +16,14 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from numpy import ndarray
 
 from arfx.config.load import load
 from arfx.config.sections import JobConfig
 from arfx.core.camera import Camera
+from arfx.core.codec import Document, Packed
 from arfx.core.colour import Transfer, from_bt709
 from arfx.core.facts import FrameFacts
 from arfx.core.pixels import Plate
@@ -41,6 +41,7 @@ from arfx.run.inputs import job_depth, job_model
 from arfx.run.memory import peak_mb
 from arfx.run.parameters import make_stages, parameters
 from arfx.run.planned import ClipAnalysis
+from arfx.run.schedule import FrameRange
 from arfx.run.source import behind, job_frame
 
 _OPENING = threading.Lock()  # what threads share is made once
@@ -153,36 +154,48 @@ def process_name() -> str:
     return f"{re.sub('[^0-9A-Za-z]', '', socket.gethostname())[:32] or 'host'}-{os.getpid()}"
 
 
+@dataclass(frozen=True)
+class WorkerInputs(Document):
+    """inputs.json: what workers are to know beside the job file.
+
+    key : of the analysis;  prints : as of `Inputs`
+    """
+
+    key: str
+    camera: Camera
+    output: OutputPlan
+    prints: Mapping[str, Annotated[ndarray, Packed("<f4", "f4")]]
+
+    @staticmethod
+    def read(folder: JobFolder) -> WorkerInputs:
+        return WorkerInputs.from_line(folder.inputs.read_text(encoding="utf-8"))
+
+
 def frozen_job(
     folder: JobFolder, paths: Paths
-) -> tuple[JobConfig, ClipInfo, Camera, OutputPlan]:
+) -> tuple[JobConfig, ClipInfo, WorkerInputs]:
     """The job as its folder keeps it."""
     moved: dict[str, dict[str, str]] = {}
     for section, name, place in paths:
         moved.setdefault(section, {})[name] = place
     config = load(folder.job, moved, parameters())
-    inputs = json.loads(folder.inputs.read_text(encoding="utf-8"))
     assert config.input.clip is not None
-    return (
-        config,
-        probe(config.input.clip, Transfer(config.input.transfer)),
-        Camera.from_json(inputs["camera"]),
-        OutputPlan.from_json(inputs["output"]),
-    )
+    info = probe(config.input.clip, Transfer(config.input.transfer))
+    return config, info, WorkerInputs.read(folder)
 
 
 @lru_cache(maxsize=1)
 def open_context(path: str, job_key: str, paths: Paths) -> Context:
     """The context of a job. job_key only keeps two jobs that reuse a folder apart."""
     folder = JobFolder(Path(path))
-    config, info, camera, output = frozen_job(folder, paths)
+    config, info, inputs = frozen_job(folder, paths)
     analysed = ClipAnalysis.read(folder)
     return Context(
         folder,
         info,
-        output,
+        inputs.output,
         analysed,
-        analysed.scene(config, camera, job_model(config), folder),
+        analysed.scene(config, inputs.camera, job_model(config), folder),
         make_stages(config),
         Lines(folder.facts, FrameFacts.from_line, header=1),
         Lines(folder.plan, FramePlan.from_line),
@@ -194,26 +207,22 @@ def open_context(path: str, job_key: str, paths: Paths) -> Context:
 def render_chunk(
     folder: str,
     job_key: str,
-    first: int,
-    last: int,
-    target: str,
+    chunk: FrameRange,
     tick: Callable[[], None],
     alone: bool = False,
     paths: Paths = (),
 ) -> dict[str, Any]:
-    """Render frames first … last into a file that appears when it is whole.
+    """Render a chunk into a file that appears when it is whole.
 
-    target : its path, to which the digest of its content and the extension are added
     alone : no other chunk is rendered meanwhile, so that decoding and encoding get threads
     of their own
-    Returns the file's name, seconds by stage, decode and encode seconds, who rendered it,
-    and the most memory that this process held. Raises RenderError (frames missing in the
+    Returns what `done_work` tells, and seconds by stage. Raises RenderError (frames missing in the
     source, a full disk, a stage that failed)."""
     keep_memory()
     with _OPENING:
         context = open_context(folder, job_key, paths)
-    facts = context.facts[first : last + 1]
-    plans = context.plans[first : last + 1]
+    frames = slice(chunk.first, chunk.last + 1)
+    facts, plans = context.facts[frames], context.plans[frames]
     decoded = context.analysed.frames
     seconds, stages = Seconds(float), Seconds(float)
     with timed(seconds, "prepare"):
@@ -223,7 +232,8 @@ def render_chunk(
         with timed(seconds, "encode"):
             writer.write(out)
 
-    final, suffix = Path(target), chunk_suffix(context.output)
+    final = context.folder.chunks / chunk.name(job_key)
+    suffix = chunk_suffix(context.output)
     aside = final.with_name(
         f"{process_name()}-{threading.get_ident()}-{final.name}{suffix}"
     )
@@ -253,22 +263,23 @@ def render_chunk(
             aside.replace(final)
     except OSError as e:
         raise disk_error(e, final) from None
-    return done_work(final, first, last, seconds, stages=stages)
+    return done_work(chunk, job_key, final, seconds, stages=stages)
 
 
 def done_work(
-    file: Path, first: int, last: int, seconds: Mapping[str, float], **more: Any
+    part: FrameRange, key: str, file: Path, seconds: Mapping[str, float], **more: Any
 ) -> dict[str, Any]:
-    """What is told of a chunk or a stretch that is done: its file's name, seconds, who did
-    it, and the most memory that this process held.
+    """What is told of a chunk or a stretch that is done: its file's place in the job folder,
+    seconds, who did it, and the most memory that this process held.
     """
     thread, name = threading.current_thread(), f"{os.getpid()}"
     if thread is not threading.main_thread():  # it may not be the only one that works
         name = f"{name} {thread.name}"
     return {
-        "file": file.name,
-        "first": first,
-        "last": last,
+        "key": part.name(key),
+        "file": f"{file.parent.name}/{file.name}",
+        "first": part.first,
+        "last": part.last,
         "seconds": seconds,
         "rss_mb": peak_mb(),
         "pid": os.getpid(),

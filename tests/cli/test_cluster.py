@@ -468,7 +468,7 @@ def test_a_lost_scheduler_ends_in_one_message(
             rendered(planned, cluster, once(own.process.kill))
     assert not capfd.readouterr().err, "Dask has nothing to add"
     assert any(
-        find_chunk(planned.folder.chunks, chunk.name, ".mkv")
+        find_chunk(planned.folder.chunks, chunk.name(planned.key), ".mkv")
         for chunk in planned.chunks
     )
     chunks = jobs._render(planned, Options(workers=1), None)

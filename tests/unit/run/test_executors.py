@@ -24,7 +24,7 @@ from arfx.run import executors, job
 from arfx.run.executors import Processes, Task
 from arfx.run.folder import JobFolder
 from arfx.run.job import Options
-from arfx.run.schedule import Chunk
+from arfx.run.schedule import FrameRange
 from tests.scenes import scene
 
 pytestmark = pytest.mark.process
@@ -135,7 +135,7 @@ def test_an_error_beside_the_workers_stops_them(
 
     def run(*_: Any, **__: Any) -> Iterator[dict[str, Any]]:
         try:
-            yield {"first": 0, "file": "x", "seconds": {}}
+            yield {"first": 0, "key": "a", "file": "x", "seconds": {}}
         finally:
             stopped.append(True)
 
@@ -144,7 +144,7 @@ def test_an_error_beside_the_workers_stops_them(
 
     monkeypatch.setattr(job, "chunk_suffix", lambda _: ".nut")
     planned: Any = SimpleNamespace(
-        folder=JobFolder(tmp_path), inputs=SimpleNamespace(output=None, camera=scene().camera), facts=[], key="", chunks=[Chunk(0, 1, "a"), Chunk(2, 3, "b")], log=SimpleNamespace(note=full),
+        folder=JobFolder(tmp_path), inputs=SimpleNamespace(output=None, camera=scene().camera), facts=[], key="", chunks=[FrameRange(0, 1), FrameRange(2, 3)], log=SimpleNamespace(note=full),
     )  # fmt: skip
     processes: Any = SimpleNamespace(run=run)
     with pytest.raises(

@@ -362,13 +362,13 @@ def test_a_span_is_cut_within(clip_of: ClipOf) -> None:
         parts = cut(span, reader.times())
     assert (
         parts.before == every.index(pts[0])
-        and parts.frames == len(pts)
+        and parts.parts[0].of == len(pts)
         and parts.parts[0].begins == pts[0]
     )
     assert [pts[p.first] for p in parts.parts] == [
         p.begins for p in parts.parts
     ] and len(parts.parts) > 1
     assert (
-        whole(span).parts == (Stretch(0, FRAMES - 1, None, None),)
+        whole(span).parts == (Stretch(0, FRAMES - 1, None, None, FRAMES, True),)
         or whole(span).parts[0].begins is None
     )
