@@ -423,7 +423,7 @@ def test_stretches_go_through_a_store_with_all_that_they_need(
                 }
         finally:
             hidden.rename(clip.parent / "print.png")
-    assert "stretches.json" in seen and not [*store.rglob("*")], (
+    assert "inputs.json" in seen and not [*store.rglob("*")], (
         "what was put there is gone"
     )
 

@@ -313,7 +313,7 @@ def test_what_a_job_wrote_is_cleared_and_nothing_else(tmp_path: Path) -> None:
     )
     for name in (
         "inputs.json", "facts.jsonl", "environment.maps", "report.json", f"chunks/000000-000029.{KEY}.{KEY}.nut", *images,
-        "previews/000001.bmp", ".arfx-12-0a1b2c3d.part", "joined.part", "seal.json", "placed.json", "stretches.json",
+        "previews/000001.bmp", ".arfx-12-0a1b2c3d.part", "joined.part", "seal.json", "placed.json",
         f"stretches/000000-000124.{KEY}", "stretches/.arfx-12-0a1b2c3d.part",
     ):  # fmt: skip
         (job.path / name).parent.mkdir(parents=True, exist_ok=True)
