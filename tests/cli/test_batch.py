@@ -213,13 +213,13 @@ def test_a_stopped_batch_says_what_is_done(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def stop(job: Any) -> Any:
+    def stop(job: Any, *more: Any) -> Any:
         if job.inputs.info.path.name == "three.mp4":
             signal.raise_signal(signal.SIGTERM)
-        return chunks_of(job)
+        return render(job, *more)
 
-    chunks_of = job_module._chunks
-    monkeypatch.setattr(job_module, "_chunks", stop)
+    render = job_module._render
+    monkeypatch.setattr(job_module, "_render", stop)
     arguments = command(material, "shots", "-o", "out/{stem}.mp4", "--end", "0.1")
     r = arfx(*arguments)
     assert (

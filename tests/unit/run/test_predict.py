@@ -10,6 +10,7 @@ import pytest
 
 import arfx.run.predict as predict_module
 from arfx.config.sections import JobConfig
+from arfx.core.compiled import work_clock
 from arfx.core.cost import Price, Prices, measured
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
@@ -106,7 +107,8 @@ def test_what_planning_takes_is_in_the_prediction(monkeypatch) -> None:
     clock = [7.0]
     monkeypatch.setattr(predict_module, "plan_clip", slow)
     monkeypatch.setattr("time.perf_counter", lambda: clock[0])
-    made = choose(JobConfig(), {}, [], None, LevelPolicy(), Errors(), PRICES, SIZE)[1]  # type: ignore[arg-type]
+    size = SIZE._replace(began=work_clock() - 2)
+    made = choose(JobConfig(), {}, [], None, LevelPolicy(), Errors(), PRICES, size)[1]  # type: ignore[arg-type]
     assert made["predicted"]["phases"]["before"]["s"] == pytest.approx(2.5)
 
 
