@@ -14,7 +14,6 @@ from arfx.analyse.clip import analyse
 from arfx.analyse.job import Analysis, AnalysisJob
 from arfx.analyse.observe import ClipRows
 from arfx.analyse.tables import Tables, from_bytes, rows_of
-from arfx.core.waiting import Progress
 from arfx.errors import RenderError
 from arfx.media.frames import (
     ClipReader,
@@ -54,7 +53,6 @@ def analyse_clip(
     span: Span,
     job: AnalysisJob,
     wanted: Collection[str],
-    progress: Progress,
     folder: JobFolder,
     key: str,
     log: WorkLog | None = None,
@@ -66,7 +64,7 @@ def analyse_clip(
     run(tasks, frames, progress) : has analyse_stretch called on tasks, whoever does it
     Stretches that are there already are taken as they are. Raises
     NothingToDoError if the span holds no frame, or nothing is seen to stand on."""
-    log = log or WorkLog(folder.timings)
+    log, progress = log or WorkLog(folder.timings), job.progress
     with ClipReader(span.info) as reader:
         times = reader.times()
 

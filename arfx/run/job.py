@@ -74,7 +74,7 @@ class Options:
     executor : a cluster in place of processes;  map_path : where its workers see what this
     machine has
     progress(phase, frames done, frames in all or None);  notice(message) for warnings
-    processes : those that work"""
+    processes, cluster : those that work; a cluster that is there comes first"""
 
     folder: Path | None = None
     resume: bool = False
@@ -87,6 +87,7 @@ class Options:
     progress: Progress = lambda phase, done, total: None
     notice: Notice = print
     processes: Processes = field(default_factory=Processes)
+    cluster: Cluster | None = None
 
 
 def process(config: JobConfig, options: Options) -> dict[str, Any]:
@@ -116,10 +117,11 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
             check()
             report_progress(phase, done, total)
 
-        options = replace(options, progress=progress)
+        options = replace(options, progress=progress, cluster=cluster)
         with contextlib.closing(options.processes):
-            job = plan_job(inputs, folder, options, started, cluster)
-            files = _render(job, options, cluster)
+            log = WorkLog(folder.timings, started)
+            job = plan_job(inputs, folder, options, log)
+            files = _render(job, options)
         start = time.perf_counter()
         if left_out := _join(job, files, places):
             options.notice(
@@ -155,12 +157,10 @@ def plan_job(
     inputs: Inputs,
     folder: JobFolder,
     options: Options,
-    started: float | None = None,
-    cluster: Cluster | None = None,
+    log: WorkLog | None = None,
 ) -> Job:
-    """Analyse (or resume that) and plan. started : `work_clock` when the work began; None = now"""
-    config = inputs.config
-    log = WorkLog(folder.timings, work_clock() if started is None else started)
+    """Analyse (or resume that) and plan. log : None = the work begins now"""
+    config, log = inputs.config, log or WorkLog(folder.timings)
     analysis_key, job_key = job_keys(inputs)
     stages, prices = make_stages(config), load_prices()
     policy = level_policy(config, stages, prices)
@@ -178,11 +178,12 @@ def plan_job(
     if fresh:
         folder.unseal()
         folder.clear("chunks/")  # another plan may choose other levels
-        _analyse(inputs, folder, analysis_key, options, log, cluster)
+        _analyse(inputs, folder, analysis_key, options, log)
     analysed, facts = ClipAnalysis.read(folder), list(read_facts(folder.facts))
     scene = analysed.scene(config, inputs.camera, inputs.model, folder)
     start = work_clock()
     if fresh:
+        cluster = options.cluster
         workers = options.workers if cluster is None else cluster.workers
         size = _size(inputs, analysed, stages, log.spent(analysis_key, []), workers)
         plans, document = wait_for(
@@ -205,9 +206,7 @@ def plan_job(
         folder.seal(job_key)
     document = json.loads(folder.plan_summary.read_text(encoding="utf-8"))
     plans = Lines(folder.plan, FramePlan.from_line)[:]
-    plan = JobPlan(
-        plans, document["levels"], document["predicted"], work_clock() - start
-    )
+    plan = JobPlan(plans, **document, seconds=work_clock() - start)
     return Job(
         inputs,
         folder,
@@ -256,7 +255,6 @@ def _analyse(
     analysis_key: str,
     options: Options,
     log: WorkLog,
-    cluster: Cluster | None = None,
 ) -> None:
     config, anchor = inputs.config, inputs.config.model.anchor
 
@@ -291,11 +289,10 @@ def _analyse(
         span,
         job,
         required_facts(config),
-        options.progress,
         folder,
         analysis_key,
         log,
-        _run(analyse_stretch, inputs, folder, analysis_key, options, cluster),
+        _run(analyse_stretch, inputs, folder, analysis_key, options),
     )
     check_times(inputs.output, frames.pts, inputs.info.time_base)
     seen, notices = clip.summary["markers_seen"], list(clip.notices)
@@ -341,7 +338,6 @@ def _run(
     folder: JobFolder,
     key: str,
     options: Options,
-    cluster: Cluster | None,
 ) -> Run:
     """What has tasks done, by this machine's workers or a cluster's. key : of what is done"""
 
@@ -354,12 +350,12 @@ def _run(
             return run_threads(tasks, [work] * workers, progress)
         return options.processes.run(tasks, workers, progress, work)
 
-    if cluster is None:
+    if options.cluster is None:
         return run_here
-    return cluster.run(inputs, folder, key, work is render_chunk, run_here)
+    return options.cluster.run(inputs, folder, key, work is render_chunk, run_here)
 
 
-def _render(job: Job, options: Options, cluster: Cluster | None = None) -> list[Path]:
+def _render(job: Job, options: Options) -> list[Path]:
     """The chunks' files, in order; those that are there already are kept."""
     folder, suffix = job.folder, chunk_suffix(job.inputs.output)
     files = {
@@ -373,7 +369,7 @@ def _render(job: Job, options: Options, cluster: Cluster | None = None) -> list[
         options.progress("render", total - left + done, total)
 
     progress(0)
-    run = _run(render_chunk, job.inputs, folder, job.key, options, cluster)
+    run = _run(render_chunk, job.inputs, folder, job.key, options)
     tasks = [(str(folder.path), job.key, chunk) for chunk in todo]
     # an error here too stops the workers
     with contextlib.closing(run(tasks, total, progress)) as results:

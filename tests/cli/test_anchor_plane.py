@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -200,9 +201,8 @@ def test_an_interrupted_analysis_leaves_the_same_bytes(
 
         found, frames = analysis.analyse_clip(
             Span(inputs.info),
-            of_plane,
+            replace(of_plane, progress=progress),
             {"environment"},
-            progress,
             JobFolder(job),
             "key",
         )

@@ -236,7 +236,7 @@ def test_a_stopped_batch_says_what_is_done(
     assert (tmp_path / "out/one.mp4").exists() and (
         tmp_path / "out/three.mp4.job/seal.json"
     ).exists()
-    monkeypatch.setattr(job_module, "_chunks", chunks_of)
+    monkeypatch.setattr(job_module, "_render", render)
     assert arfx(*arguments).code == 2
     resumed = arfx(*arguments, "--resume", "--json")
     assert resumed.code == 6 and [job["message"] for job in resumed.json["jobs"]][

@@ -84,7 +84,7 @@ def rendered(
     def progress(phase: str, done: int, total: int | None) -> None:
         at(done - start)
 
-    files = jobs._render(job, Options(workers=1, progress=progress), cluster)
+    files = jobs._render(job, Options(workers=1, progress=progress, cluster=cluster))
     return {int(f.name.split("-")[0]): content_digest(f) for f in files}
 
 
@@ -320,9 +320,8 @@ def analysed(
     job = JobFolder(folder)
     with locked(job.path, "--job"):
         job.open(resume=False)
-        done = plan_job(
-            open_inputs(config), job, Options(notice=lambda _: None), cluster=cluster
-        )
+        options = Options(notice=lambda _: None, cluster=cluster)
+        done = plan_job(open_inputs(config), job, options)
         rows = [r for r in done.log.rows() if r.work == "stretch"]
         assert len([*job.stretches.glob("*-*.*")]) == len(rows) == 6
         yield done, [(job.path / name).read_bytes() for name in FACTS], rows
@@ -471,7 +470,7 @@ def test_a_lost_scheduler_ends_in_one_message(
         find_chunk(planned.folder.chunks, chunk.name(planned.key), ".mkv")
         for chunk in planned.chunks
     )
-    chunks = jobs._render(planned, Options(workers=1), None)
+    chunks = jobs._render(planned, Options(workers=1))
     assert {int(f.name.split("-")[0]): content_digest(f) for f in chunks} == serial
     ended(pids)
 

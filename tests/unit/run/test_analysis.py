@@ -90,9 +90,8 @@ def analysed(
     job.mkdir(exist_ok=True)
     return analyse_clip(
         Span(probe(clip)),
-        AnalysisJob((MARKER,), clip_camera()),
+        AnalysisJob((MARKER,), clip_camera(), progress=progress),
         {"light", *folds},
-        progress,
         JobFolder(job),
         "key",
     )

@@ -156,7 +156,6 @@ def analysed(
         Span(probe(clip)),
         asked,
         {"light", *folds},
-        lambda *_: None,
         JobFolder(job),
         "key",
         run=run,
