@@ -235,7 +235,7 @@ def _size(
     return JobSize(
         frames,
         area_px / 1e6,
-        spent.seconds.get("decode", 0.0),
+        spent.seconds["decode"],
         work_clock() - spent.wall_s,
         inputs.output.codec,
         workers,

@@ -5,7 +5,6 @@ of `arfx report`).
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
@@ -46,15 +45,15 @@ def build_report(job: Job, join_s: float) -> dict[str, Any]:
     spent = job.log.spent(job.analysis_key, (c.name(job.key) for c in job.chunks))
     rows = summarise(job.plan.frames, job.stages, job.inputs.camera.rect.area)
     for row in rows:
-        row["measured_s"] = spent.stages.get(row["name"], 0.0)
+        row["measured_s"] = spent.stages[row["name"]]
     plan, output = job.inputs.output, job.inputs.output.path
     written = [output]
     if plan.is_sequence:
         written = [output.with_name(output.name % f.index) for f in facts]
-    lit = {
-        f.index for f in job.plan.frames if any(s.stage in _SHADING for s in f.steps)
-    }
-    shaded = sum(f.light is not None and f.index in lit for f in facts)
+    shaded = sum(
+        f.light is not None and any(s.stage in _SHADING for s in p.steps)
+        for f, p in zip(facts, job.plan.frames, strict=True)
+    )
     return {
         "input": {
             "path": str(info.path),
@@ -101,7 +100,7 @@ def _timing(
     """Of a resumed job the time of all processes whose work is in the output, not of the
     last one alone.
     """
-    s = defaultdict(float, spent.seconds)
+    s = spent.seconds
     timed = sum(worker["frames"] for worker in spent.workers)
     return {
         "decode_s": s["decode"],

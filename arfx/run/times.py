@@ -58,8 +58,8 @@ class TimeSpent:
     that had a share
         frames : rendered;  seconds : of its stretches' and chunks' work"""
 
-    seconds: Mapping[str, float]
-    stages: Mapping[str, float]
+    seconds: Counter[str]
+    stages: Counter[str]
     wall_s: float
     processes: int
     peak_rss_mb: float
