@@ -52,43 +52,31 @@ def behind(
             pool.shutdown(cancel_futures=True)
 
 
-class KeptFrames:
-    """Frames that were decoded to analyse a clip, until each is rendered: those of a short
-    clip are decoded once. None of a clip that is longer than KEPT_BYTES."""
-
-    def __init__(self) -> None:
-        self._frames: dict[int, Frame] = {}
-        self._left = KEPT_BYTES
-
-    def add(self, frame: Frame) -> None:
-        self._left -= sum(p.buffer_size for p in frame.picture.planes)
-        if self._left >= 0:
-            self._frames[frame.pts] = frame
-        else:
-            self._frames.clear()
-
-    def take(self, pts: int) -> Frame | None:
-        """The frame of that time, which is no longer kept."""
-        return self._frames.pop(pts, None)
-
-
-_kept: KeptFrames | None = None
+# Frames that were decoded to analyse a clip, by time, until each is rendered: those of a
+# short clip are decoded once. None of a clip that is longer than KEPT_BYTES.
+_kept: dict[int, Frame] = {}
+_bytes_left = -1
 
 
 @contextlib.contextmanager
 def frames_kept() -> Iterator[None]:
     """Within it, a job's decoded frames may be kept for this process to render."""
-    global _kept
-    _kept = KeptFrames()
+    global _bytes_left
+    _bytes_left = KEPT_BYTES
     try:
         yield
     finally:
-        _kept = None
+        _bytes_left = -1
+        _kept.clear()
 
 
 def keep_frame(frame: Frame) -> None:
-    if _kept is not None:
-        _kept.add(frame)
+    global _bytes_left
+    _bytes_left -= sum(p.buffer_size for p in frame.picture.planes)
+    if _bytes_left >= 0:
+        _kept[frame.pts] = frame
+    else:
+        _kept.clear()
 
 
 class ClipFrames:
@@ -170,7 +158,7 @@ def job_frame(
 
     Raises RenderError where the file does not hold a frame of that time any more."""
     pts, careful = decoded.pts, decoded.careful
-    if not careful and _kept is not None and (kept := _kept.take(pts[index])):
+    if not careful and (kept := _kept.pop(pts[index], None)):
         return replace(kept, index=index)
     for trying in sorted({careful, True}):
         source = clip_frames(info, pts[index], alone, trying)
