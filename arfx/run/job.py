@@ -100,8 +100,6 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
     if (options.workers or 1) > 1 and options.executor is None:
         options.processes.prepare()
     inputs = open_inputs(config, options.progress)
-    for notice in inputs.notices:
-        options.notice(notice)
     places = Places(inputs, options.folder, options.report, options.overwrite)
     folder = places.folder
     with (
@@ -161,6 +159,8 @@ def plan_job(
 ) -> Job:
     """Analyse (or resume that) and plan. log : None = the work begins now"""
     config, log = inputs.config, log or WorkLog(folder.timings)
+    for notice in inputs.notices:
+        options.notice(notice)
     analysis_key, job_key = job_keys(inputs)
     stages, prices = make_stages(config), load_prices()
     policy = level_policy(config, stages, prices)
