@@ -78,6 +78,10 @@ class JobFolder:
     placed = _inside("placed.json")
     _seal = _inside("seal.json")
 
+    def files(self) -> Iterator[Path]:
+        """All that arfx wrote into it."""
+        return (self.path / name for name, ours in self._entries() if ours)
+
     def worker_files(self, analysed: bool) -> Iterator[Path]:
         """What workers read of it, and what says that it is whole.
 
