@@ -3,8 +3,6 @@ of `arfx report`).
 
 `health` holds every estimate with its value, limit, verdict, and what was done about it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
