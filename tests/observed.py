@@ -15,9 +15,11 @@ from arfx.analyse.tables import Tables, tables_of
 class Observed:
     """Feed frames to `step`, or the tables of parts to `add`, then call `finish`."""
 
-    def __init__(self, job: AnalysisJob, wanted: Collection[str] = ()) -> None:
+    def __init__(
+        self, job: AnalysisJob, wanted: Collection[str] = (), frames: int = 0
+    ) -> None:
         self.job, self.wanted = job, wanted
-        self.observation = Observation(job, wanted)
+        self.observation = Observation(job, wanted, frames)
         self._before: list[tuple[Tables, int]] = []
 
     @property

@@ -61,7 +61,6 @@ class AnalysisJob:
     light_method : (clip, readings, samples, settings, panorama) -> clip with light, in place of
     the corrected method
     prints : pictures of the markers that are patterns, by key, (h, w, 3) linear
-    frames : about how many the clip has: what is kept of some of them is spread over all
     """
 
     markers: tuple[Marker, ...]
@@ -78,7 +77,6 @@ class AnalysisJob:
     progress: Callable[[str, int, int | None], None] = lambda *_: None
     light_method: Callable[..., Analysis] | None = None
     prints: Mapping[str, ndarray] = field(default_factory=dict)
-    frames: int = 0
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,14 @@ from arfx.analyse.tables import T, Tables, rows_of
 class Observation:
     """Feed the frames of a part of the clip, in order, to `step`. wanted : facts, by name
     (`Stage.facts`)
+    frames : about how many the clip has: what is kept of some of them is spread over all
 
     An observer's `step` takes the next frame and the prints in it. Its `rows` are of any
     kinds, the first field is the frame's number."""
 
-    def __init__(self, job: AnalysisJob, wanted: Collection[str] = ()) -> None:
+    def __init__(
+        self, job: AnalysisJob, wanted: Collection[str] = (), frames: int = 0
+    ) -> None:
         markers, lit = job.anchor != PLANE, {"light", "environment"} & {*wanted}
         self._search = MarkerSearch(job, "lens" in wanted) if markers else None
         self._others: list[Any] = []
@@ -30,11 +33,11 @@ class Observation:
         if not markers and job.poses is None:
             add(RestCheck())
         if markers and job.params.static == "auto":
-            add(BackgroundFlow(job.frames))
+            add(BackgroundFlow(frames))
         if markers and lit:
             add(LightReader(job))
         if lit:
-            add(SnapshotTaker(job.frames))
+            add(SnapshotTaker(frames))
         if "flow" in wanted:
             add(BackgroundMotion())
 

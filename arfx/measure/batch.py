@@ -18,8 +18,8 @@ from arfx.core.numerics import finite
 from arfx.core.waiting import wait_for
 from arfx.measure.report import report_of_job, write_json
 from arfx.media.output import names_sequence
-from arfx.run.batch import Row, Started, plan_all, process_all, total_of
-from arfx.run.batch_jobs import BatchJob, check_batch, home_of
+from arfx.run.batch import Row, Started, plan_one, process_one, run_each, total_of
+from arfx.run.batch_jobs import BatchJob, check_batch, home_of, names_of
 from arfx.run.folder import write
 from arfx.run.job import Options
 from arfx.run.pages import render
@@ -40,7 +40,7 @@ def run_batch(
     """Run all jobs; batch.json and batch.html are written into the folder of reports, else
     that of the outputs, when all have ended or the batch is interrupted.
 
-    options : as of `process_all`;  started, ended : called for each job, from 0
+    options : as of `process_one`;  started, ended : called for each job, from 0
     Returns {"jobs": [...], "failed": N}. Raises ConfigError and InputError before any work,
     JobInterruptedError."""
     kept = not (options.resume or options.overwrite)
@@ -51,13 +51,17 @@ def run_batch(
         options.overwrite or options.resume,
     )
     rows: list[Row] = []
+    names = names_of(jobs)
+
+    def work(job: BatchJob) -> Row:
+        return process_one(job, names[job], options, report_of_job)
+
     with files_locked(guard, home, FILES, "--report"):
         try:
-            for k, row in enumerate(
-                process_all(jobs, options, report_of_job, started)
-            ):
+            how = "the same command with --resume goes on"
+            for row in run_each(jobs, work, started, how):
                 rows.append(row)
-                ended(k, row)
+                ended(len(rows) - 1, row)
             interrupt.commit(6 if any(row["exit_code"] for row in rows) else 0)
         finally:
             document = _document(rows)
@@ -77,7 +81,7 @@ def plan_batch(
     """
     wait_for("check", lambda: check_batch(jobs, kept=False), options.progress)
     rows: list[Row] = []
-    for row in plan_all(jobs, options, started):
+    for row in run_each(jobs, lambda job: plan_one(job, options), started):
         ended(len(rows), row)
         rows.append(row)
     return _document(rows) | {"predicted": total_of(rows)}

@@ -170,8 +170,9 @@ def open_frames(job: Job, wanted: Collection[int]) -> dict[int, FrameRenderer]:
     prepared = PreparedStages(job.scene)
     plans = {p.index: p for p in job.plan.frames}
     facts = {f.index: f for f in job.facts}
-    pts = {job.analysed.pts[i]: i for i in wanted}
-    with ClipReader(job.inputs.info, careful=job.analysed.careful) as reader:
+    decoded = job.analysed.frames
+    pts = {decoded.pts[i]: i for i in wanted}
+    with ClipReader(job.inputs.info, careful=decoded.careful) as reader:
         for frame in reader.frames(min(pts)):
             if frame.pts > max(pts):
                 break

@@ -33,14 +33,13 @@ SWS_MATRIX = {
 class Frame:
     """One picture; never changes.
 
-    index : number in the reader's order;  pts : in `time_base` units;  key : key frame.
+    index : number in the reader's order;  pts : in `time_base` units.
     """
 
     picture: av.VideoFrame
     clip: ClipInfo
     index: int
     pts: int
-    key: bool = False
 
     @property
     def time_s(self) -> float:

@@ -84,7 +84,7 @@ class ClipReader:
         seeks: bool = True,
     ) -> None:
         self.info = info
-        self._threads = 1 if careful else threads
+        self.careful, self._threads = careful, 1 if careful else threads
         self._seeks, self._strict = seeks and not careful, strict
         # AVI counts frames in that order, and has no other times
         self._by_decoding = info.container == "avi"
@@ -125,8 +125,7 @@ class ClipReader:
             if first_pts is None or pts >= first_pts:
                 as_it_is = layout_named(picture.format.name) == layout
                 held = picture if as_it_is else repacked(picture, layout.name)
-                key = bool(picture.key_frame)
-                yield Frame(held, self.info, next(index), pts, key)
+                yield Frame(held, self.info, next(index), pts)
 
     def times(self) -> FrameTimes | None:
         """None where packets do not tell: a time is missing, there twice, or they go back."""

@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -45,14 +45,13 @@ def planned_aside(
             Places(inputs, None, None, overwrite=True).check_output()
         if check is not None:
             check(inputs)
-        for notice in inputs.notices:
-            options.notice(notice)
         folder = JobFolder(Path(scratch) / "job")
         folder.open(resume=False)
         workers = planned_workers(options.executor) or options.workers
-        yield plan_job(
-            inputs, folder, replace(options, workers=workers, executor=None)
-        )
+        options = replace(options, workers=workers, executor=None)
+        with closing(options.processes):
+            job = plan_job(inputs, folder, options)
+        yield job
 
 
 def plan_document(job: Job) -> dict[str, Any]:
@@ -60,12 +59,12 @@ def plan_document(job: Job) -> dict[str, Any]:
     ...}, levels}
     """
     rows = summarise(job.plan.frames, job.stages, job.inputs.camera.rect.area)
-    stages = [r["predicted_s"] for r in rows]
-    total = None if any(p is None for p in stages) else sum(stages)
-    document: dict[str, Any] = {
+    seconds = [row["predicted_s"] for row in rows]
+    return {
         "frames": len(job.plan.frames),
         "stages": rows,
-        "predicted_s": total,
+        "predicted_s": None if None in seconds else sum(seconds),
+        "model": model_size(job.scene, job.facts),
+        "predicted": job.plan.predicted,
+        "levels": job.plan.levels,
     }
-    document |= {"model": model_size(job.scene, job.facts)}
-    return document | {"predicted": job.plan.predicted, "levels": job.plan.levels}

@@ -24,7 +24,7 @@ from arfx.errors import (
     on_one_line,
 )
 from arfx.run.aside import plan_document, planned_aside
-from arfx.run.batch_jobs import BatchJob, names_of
+from arfx.run.batch_jobs import BatchJob
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import open_inputs
 from arfx.run.job import Options, process
@@ -37,37 +37,6 @@ Started = Callable[[int, BatchJob], None]
 PAGE = "report.html"
 
 
-def process_all(
-    jobs: Sequence[BatchJob],
-    options: Options,
-    finish: Callable[[Path, Path], object],
-    started: Started,
-) -> Iterator[Row]:
-    """Run them all. Yields {clip, output, exit_code, message, seconds, report} of each when
-    it has ended.
-
-    options : of every job; its folder and report are those in which each has a folder of its own
-    finish(job folder, report folder) : writes a report;  started(k, job) : called before
-    each, k from 0
-    Raises JobInterruptedError, after the row of the job that was interrupted."""
-    names = names_of(jobs)
-    return _each(
-        jobs,
-        lambda job: _process(job, names[job], options, finish),
-        started,
-        "the same command with --resume goes on",
-    )
-
-
-def plan_all(
-    jobs: Sequence[BatchJob], options: Options, started: Started
-) -> Iterator[Row]:
-    """What `process_all` would do: rows with "plan", as of `plan_document`, or null where
-    nothing would be done.
-    """
-    return _each(jobs, lambda job: _plan(job, options), started, "")
-
-
 def total_of(rows: Sequence[Row]) -> dict[str, float] | None:
     """{s, low_s, high_s} of all plans together, without clips that failed; None where a
     plan has no time. A machine that is slower today is so for all."""
@@ -77,13 +46,19 @@ def total_of(rows: Sequence[Row]) -> dict[str, float] | None:
     return {key: sum(wall[key] for wall in walls) for key in ("s", "low_s", "high_s")}
 
 
-def _each(
+def run_each(
     jobs: Sequence[BatchJob],
     work: Callable[[BatchJob], Row],
     started: Started,
-    how: str,
+    how: str = "",
 ) -> Iterator[Row]:
-    """work : gives what its row holds beside the usual"""
+    """Have the work of each done. Yields {clip, output, exit_code, message, seconds, report}
+    of each when it has ended.
+
+    work : gives what its row holds beside the usual;  started(k, job) : called before each,
+    k from 0
+    Raises JobInterruptedError, after the row of the job that was interrupted, with how it
+    goes on."""
     with interrupt.catching((signal.SIGINT,)):
         for k, job in enumerate(jobs):
             began = time.perf_counter()
@@ -123,21 +98,25 @@ def _each(
                 raise error
 
 
-def _process(
+def process_one(
     job: BatchJob,
     name: Path,
     options: Options,
     finish: Callable[[Path, Path], object],
 ) -> Row:
+    """Run a job.
+
+    options : of every job; its folder and report are those in which this one's are `name`
+    finish(job folder, report folder) : writes a report"""
     report = None if options.report is None else options.report / name
-    page = None if report is None else report / PAGE
+    page = None if report is None else str(report / PAGE)
     if (before := _made_before(job, options)) is not None:
         # of a process that was killed when all was done
         JobFolder(default_folder(job.output)).clear()
         return {
             "message": f"{counted(before.frames, 'frames')}, done before",
             "seconds": before.seconds,
-            "report": str(page) if page is not None and page.exists() else None,
+            "report": page if page is not None and Path(page).exists() else None,
         }
     began = time.perf_counter()
 
@@ -157,7 +136,7 @@ def _process(
         )
     return {
         "message": counted(done["output"]["frames"], "frames"),
-        "report": None if page is None else str(page),
+        "report": page,
     }
 
 
@@ -181,7 +160,8 @@ def _made_before(job: BatchJob, options: Options) -> Made | None:
     )
 
 
-def _plan(job: BatchJob, options: Options) -> Row:
+def plan_one(job: BatchJob, options: Options) -> Row:
+    """A row with "plan", as of `plan_document`, or null where nothing would be done."""
     if _made_before(job, options) is not None:
         return {"message": "done before", "plan": None}
     with planned_aside(job.config, _of(job, options), placed=False) as planned:

@@ -17,9 +17,9 @@ from arfx.core.opener import folder_entries
 from arfx.errors import ConfigError, InputError
 from arfx.media.cameras import load_camera
 from arfx.media.codecs import CLIP_SUFFIXES
-from arfx.media.output import OutputSettings, choose_format, names_sequence
+from arfx.media.output import choose_format, names_sequence
 from arfx.run.folder import JobFolder
-from arfx.run.inputs import check_complete, job_model
+from arfx.run.inputs import check_complete, job_model, output_settings
 from arfx.run.outputs_made import OutputsMade, files_of
 from arfx.run.parameters import make_stages, parameters
 from arfx.run.place import default_folder, files_named, place
@@ -145,17 +145,12 @@ def check_batch(jobs: Sequence[BatchJob], kept: bool) -> None:
                 "no file has such a name",
             )
         check_complete(job.config)
-        o = job.config.output
-        choose_format(
-            job.output, OutputSettings(o.codec, o.crf, o.preset, o.pixel_format)
-        )
+        choose_format(job.output, output_settings(job.config))
         level_policy(job.config, make_stages(job.config), prices)
     _check_distinct(jobs)
     guard = Guard({read for job in jobs for read in files_named(job.config)})
     for job in jobs:
-        guard.check_not_read(job.output)
-        if names_sequence(job.output):
-            guard.check_not_read(place(job.output))
+        guard.check_not_read(place(job.output))
     if kept:
         _check_absent(jobs)
     first = jobs[0].config
@@ -171,17 +166,11 @@ def _check_distinct(jobs: Sequence[BatchJob]) -> None:
     """Two jobs that write to one file, or images of two into one folder."""
     first: dict[str, BatchJob] = {}
     for job in jobs:
-        other = first.setdefault(
-            os.path.normcase(os.path.realpath(default_folder(job.output))), job
-        )
+        real = os.path.normcase(os.path.realpath(place(job.output)))
+        other = first.setdefault(real, job)
         if other is not job:
-            what = (
-                f"one folder, {job.output.parent}"
-                if names_sequence(job.output)
-                else f"one output, {job.output}"
-            )
             raise ConfigError(
-                f"{other.clip} and {job.clip} go to {what}",
+                f"{other.clip} and {job.clip} go to one output, {job.output}",
                 "{stem} or {parent} in -o, or an output for each in the manifest, keeps"
                 " them apart",
             )

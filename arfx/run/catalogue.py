@@ -39,16 +39,12 @@ WRITES = {
 }
 
 
-def sections() -> list[str]:
-    """Names of the sections of a job file that belong to no stage."""
-    return [name for name in all_sections(parameters()) if name not in STAGES]
-
-
 def everything() -> dict[str, Any]:
     """All stages in running order, and the other sections, each as `describe` has it."""
+    others = [name for name in all_sections(parameters()) if name not in STAGES]
     return {
         "stages": [*map(describe, STAGES)],
-        "sections": [*map(describe, sections())],
+        "sections": [*map(describe, others)],
     }
 
 

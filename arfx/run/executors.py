@@ -14,7 +14,7 @@ import traceback
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from functools import partial
-from typing import Any, Self
+from typing import Any
 
 import cv2
 
@@ -26,7 +26,7 @@ from arfx.run.schedule import next_task, work_queues
 from arfx.run.source import release
 
 Done = Callable[[int], None]  # is told how many frames are done
-# arguments of a work; of a chunk and a stretch: folder, key, first, last, target
+# arguments of a work; of a chunk and a stretch: folder, key, `FrameRange`
 Task = tuple[Any, ...]
 # work(*task, tick, alone=False): a function of a module; tick() after every frame
 Work = Callable[..., dict[str, Any]]
@@ -57,24 +57,14 @@ class _StoppedError(Exception):
 
 def run_threads(
     tasks: Sequence[Task],
-    workers: int,
-    progress: Done,
-    work: Work,
-) -> Results:
-    """Work in `workers` threads of this process, in any order.
-
-    Raises what a thread raises; on the way out all stop.
-    """
-    return _in_threads(tasks, [work] * workers, progress)
-
-
-def _in_threads(
-    tasks: Sequence[Task],
     crew: Sequence[Work],
     progress: Done,
     stop: Callable[[], None] = lambda: None,
 ) -> Results:
-    """A thread for each of the crew, who works. stop : called on the way out, unless all is done"""
+    """Work in threads of this process, in any order: one for each of the crew, who works.
+
+    stop : called on the way out, unless all is done
+    Raises what a thread raises; on the way out all stop."""
     ticks = itertools.count(1)  # one step of it is atomic
     done, stopped = 0, False
     queues = work_queues(tasks, len(crew))
@@ -174,19 +164,19 @@ def _starting() -> Iterator[None]:
         "PYTHONSAFEPATH": "1",
         "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
     }
-    ours = {name: os.environ.get(name) for name in theirs}
+    ours = os.environ.copy()
     with interrupt.starting_workers():
         os.environ.update(theirs)
         try:
             yield
         finally:
-            for name, value in ours.items():
-                os.environ.pop(name)
-                os.environ.update({} if value is None else {name: value})
+            for name in theirs:
+                del os.environ[name]
+            os.environ.update(ours)
 
 
 class Processes:
-    """Worker processes. In `with` they are kept: those that worked work in the next `run` too.
+    """Worker processes: those that worked work in the next `run` too, until `close`.
 
     Where that is safe (Linux) they are forked, from a server that has imported what they
     need, and never had a thread or an OpenGL context: neither survives a fork. Elsewhere
@@ -194,15 +184,6 @@ class Processes:
 
     def __init__(self) -> None:
         self._workers: list[_Worker] = []
-        self._kept = False
-
-    def __enter__(self) -> Self:
-        self._kept = True
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._kept = False
-        self._end()
 
     def prepare(self) -> Any:
         """Have the server begin to import, which this process need not wait for.
@@ -231,19 +212,15 @@ class Processes:
         """Work in `workers` processes, in any order.
 
         Raises RenderError if a worker dies, and what a worker raises. On the way out the
-        workers are stopped, unless all is done and they are kept."""
+        workers are stopped, unless all is done."""
         context, wanted = self.prepare(), min(workers, len(tasks))
-        try:
-            with _starting():
-                while len(self._workers) < wanted:
-                    self._workers.append(_Worker(context))
-            crew = [partial(worker.do, work) for worker in self._workers[:wanted]]
-            yield from _in_threads(tasks, crew, progress, self._end)
-        finally:
-            if not self._kept:
-                self._end()
+        with _starting():
+            while len(self._workers) < wanted:
+                self._workers.append(_Worker(context))
+        crew = [partial(worker.do, work) for worker in self._workers[:wanted]]
+        return run_threads(tasks, crew, progress, self.close)
 
-    def _end(self) -> None:
+    def close(self) -> None:
         while self._workers:
             process = self._workers.pop().process
             process.terminate()  # it would do the whole chunk otherwise

@@ -1,7 +1,7 @@
 """The job folder: what is written where, whole or not at all, what in it is arfx's own, and
 what is still good.
 
-job.toml (frozen) · inputs.json · stretches.json · stretches/ · frames.json · facts.jsonl ·
+job.toml (frozen) · inputs.json · stretches/ · frames.json · facts.jsonl ·
 environment.maps · plan.jsonl · plan_summary.json · seal.json · placed.json · chunks/ ·
 timings.jsonl · previews/ · report.json"""
 
@@ -38,7 +38,7 @@ _CHUNK = r"(?:(?:[0-9A-Za-z]+-)?\d+-\d+-)?\d{6,}-\d{6,}(?:\.[0-9a-f]{16}){1,2}(?
 _FOLDERS = re.compile(rf"chunks|stretches|previews|joined\.part|chunks/{_CHUNK}")
 _UNMARKED = re.compile(rf"(?:{_LOCKS})|{PART}|joined\.part(?:/(?:{_IMAGE}))?")
 _MARKED = re.compile(
-    rf"job\.toml|environment\.maps|(?:inputs|stretches|frames|plan_summary|seal|placed|report)\.json|(?:facts|plan|timings)\.jsonl"
+    rf"job\.toml|environment\.maps|(?:inputs|frames|plan_summary|seal|placed|report)\.json|(?:facts|plan|timings)\.jsonl"
     rf"|stretches/(?:\d{{6,}}-\d{{6,}}\.[0-9a-f]{{16}}|{PART})|chunks/{_CHUNK}(?:/(?:{_IMAGE}))?|previews/\d{{6,}}\.bmp"
 )
 _SEALED = (
@@ -70,7 +70,6 @@ class JobFolder:
     timings = _inside("timings.jsonl")
     previews = _inside("previews")
     report = _inside("report.json")
-    stretch_list = _inside("stretches.json")  # where the analysis cuts the clip
     stretches = _inside("stretches")  # what each was found to hold
     joined = _inside("joined.part")  # the output, until it is whole
     # fingerprints of the output's files, from just before it is put in place
@@ -87,11 +86,8 @@ class JobFolder:
         analysed : to render, else to analyse
         """
         yield from (self.job, self.inputs)
-        yield from (
-            (*(self.path / name for name in _SEALED), self._seal)
-            if analysed
-            else (self.stretch_list,)
-        )
+        if analysed:
+            yield from (*(self.path / name for name in _SEALED), self._seal)
 
     def check_foreign_files(self) -> None:
         """Raises ConfigError where the folder holds anything that arfx did not write."""
@@ -147,23 +143,20 @@ class JobFolder:
 
     def seal(self, job_key: str) -> None:
         """The analysis and the plan of this job are written, whole."""
-        write(self._seal, json.dumps({"job_key": job_key, "files": self._digests()}))
+        write(self._seal, self._seal_of(job_key))
 
     def unseal(self) -> None:
         self._seal.unlink(missing_ok=True)
 
     def sealed(self, job_key: str) -> bool:
         """Whether they are this job's, as they were written."""
-        try:
-            return bool(
-                json.loads(self._seal.read_bytes())
-                == {
-                    "job_key": job_key,
-                    "files": self._digests(),
-                }
-            )
-        except (OSError, ValueError, RecursionError):
-            return False
+        with contextlib.suppress(OSError):
+            return bool(self._seal.read_bytes() == self._seal_of(job_key))
+        return False
+
+    def _seal_of(self, job_key: str) -> bytes:
+        digests = {name: content_digest(self.path / name) for name in _SEALED}
+        return json.dumps({"job_key": job_key, "files": digests}).encode()
 
     def sealed_key(self) -> str:
         """Of the job that is sealed here. Raises OSError, ValueError, KeyError where none is."""
@@ -178,16 +171,9 @@ class JobFolder:
         """Files that were put in place, or were about to be, by a job that was killed
         before it had ended.
         """
-        try:
-            return frozenset(
-                (int(a), int(b), int(c))
-                for a, b, c in json.loads(self.placed.read_bytes())
-            )
-        except (OSError, ValueError, TypeError, OverflowError, RecursionError):
-            return frozenset()
-
-    def _digests(self) -> dict[str, str]:
-        return {name: content_digest(self.path / name) for name in _SEALED}
+        with contextlib.suppress(OSError, ValueError, TypeError, RecursionError):
+            return frozenset(map(tuple, json.loads(self.placed.read_bytes())))
+        return frozenset()
 
     def _entries(self, inside: str = "") -> Iterator[tuple[str, bool]]:
         """(path in the folder, whether arfx wrote it) of all that is in it, from the inside
@@ -289,6 +275,9 @@ class Lines(Generic[T]):
             ]
 
 
+WHOLE_BYTES = 256 << 20  # of a file whose digest is of all of it
+
+
 def digest(*parts: Any) -> str:
     """16 hex digits over JSON-able parts."""
     h = hashlib.blake2b(digest_size=8)
@@ -298,9 +287,7 @@ def digest(*parts: Any) -> str:
     return h.hexdigest()
 
 
-def file_digest(
-    path: Path, whole_up_to: int = 256 << 20, with_time: bool = True
-) -> str:
+def file_digest(path: Path, with_time: bool = True) -> str:
     """Content digest of a file; of a larger one its size, time and three samples, so that
     an hour of 4K costs nothing.
 
@@ -309,7 +296,7 @@ def file_digest(
     h = hashlib.blake2b(digest_size=16)
     h.update(str(stat.st_size).encode())
     with path.open("rb") as f:
-        if stat.st_size <= whole_up_to:
+        if stat.st_size <= WHOLE_BYTES:
             hashlib.file_digest(f, lambda: h)
         else:
             if with_time:

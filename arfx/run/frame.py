@@ -51,9 +51,7 @@ class FrameLayers:
         """Write what a stage returned that saw `need`, over `out`; the rest stays. Returns
         what is new.
         """
-        new = (output if isinstance(output, Pixels) else Pixels(need, output)).clip(
-            out
-        )
+        new = _pixels(output, need).clip(out)
         before = self.stored.get(name)
         kept = new.rect if name is Layer.IMAGE else out
         if before is None or kept.contains(before.rect):
@@ -137,7 +135,7 @@ def run_frame(
             for name, output in made.items():
                 layer = Layer(name)
                 if colours is not None and layer in MODEL_COLOURS:
-                    output = _converted(output, colours)
+                    output = _converted(_pixels(output, step.need), colours)
                 new = layers.put(layer, output, step.need, step.out)
                 if layer is not Layer.DEPTH:  # infinite where nothing is
                     _require_finite(new, layer, stage.name, facts.index)
@@ -166,13 +164,16 @@ def real_depth_layer(
     return np.ascontiguousarray(whole[rect.slices]) * np.float32(real.scale)
 
 
-def _converted(output: ndarray | Pixels, colours: ndarray) -> ndarray | Pixels:
+def _pixels(output: ndarray | Pixels, need: Rect) -> Pixels:
+    return output if isinstance(output, Pixels) else Pixels(need, output)
+
+
+def _converted(pixels: Pixels, colours: ndarray) -> Pixels:
     """Linear colours (h, w, 3) in other primaries."""
-    array = output.array if isinstance(output, Pixels) else output
-    if not array.size:
-        return output
-    array = cv2.transform(np.ascontiguousarray(array), colours.astype(np.float32))
-    return Pixels(output.rect, array) if isinstance(output, Pixels) else array
+    if not pixels.array.size:
+        return pixels
+    array = np.ascontiguousarray(pixels.array)
+    return Pixels(pixels.rect, cv2.transform(array, colours.astype(np.float32)))
 
 
 def _require_picture(made: object, seen: Rect) -> None:

@@ -33,7 +33,11 @@ from arfx.media.images import load_image, load_print
 from arfx.media.models import load_model
 from arfx.media.output import OutputPlan, OutputSettings, plan_output
 from arfx.media.pose_files import CameraPath, load_poses
-from arfx.run.parameters import quality_notices, with_machine_settings
+from arfx.run.parameters import (
+    make_stages,
+    quality_notices,
+    with_machine_settings,
+)
 
 CARD = 0.17  # of the print's side: what a sheet that is held in the hand has beyond it, at least
 
@@ -61,13 +65,7 @@ def open_inputs(config: JobConfig, progress: Progress = lambda *_: None) -> Inpu
     check_complete(config)
     clip, camera, notices = open_clip(config)
     assert config.output.path is not None
-    settings = OutputSettings(
-        config.output.codec,
-        config.output.crf,
-        config.output.preset,
-        config.output.pixel_format,
-    )
-    output = plan_output(clip, config.output.path, settings)
+    output = plan_output(clip, config.output.path, output_settings(config))
     config, prints = job_prints(config)
     model = wait_for("model", lambda: job_model(config), progress)
     Scene(
@@ -85,12 +83,20 @@ def open_inputs(config: JobConfig, progress: Progress = lambda *_: None) -> Inpu
         model,
         marker_map(config),
         output,
-        (*notices, *model.notices, *output.notices, *quality_notices(config)),
+        (
+            *(*notices, *model.notices, *output.notices),
+            *quality_notices(config.pipeline.quality, make_stages(config)),
+        ),
         panorama(config),
         maps,
         None if config.input.poses is None else load_poses(config.input.poses),
         prints,
     )
+
+
+def output_settings(config: JobConfig) -> OutputSettings:
+    o = config.output
+    return OutputSettings(o.codec, o.crf, o.preset, o.pixel_format)
 
 
 def check_complete(config: JobConfig) -> None:

@@ -47,12 +47,12 @@ from arfx.run.parameters import light_method, make_stages, required_facts
 from arfx.run.place import Places
 from arfx.run.planned import MAPS, ClipAnalysis, Job, JobPlan, places_in_words
 from arfx.run.predict import JobSize, choose, level_policy
-from arfx.run.schedule import Chunk, borders, find_chunk
+from arfx.run.schedule import chunks_of, find_chunk
 from arfx.run.source import frames_kept
-from arfx.run.stretches import analyse_stretch
+from arfx.run.stretches import Span, analyse_stretch
 from arfx.run.summary import build_report
 from arfx.run.times import CHUNK, TimeSpent, WorkLog
-from arfx.run.worker import keep_memory, render_chunk
+from arfx.run.worker import WorkerInputs, keep_memory, render_chunk
 
 # 160 frames of 720p: about as long as it takes to start a process and load its kernels
 SHORT_JOB_PX = 150_000_000
@@ -72,7 +72,7 @@ class Options:
     executor : a cluster in place of processes;  map_path : where its workers see what this
     machine has
     progress(phase, frames done, frames in all or None);  notice(message) for warnings
-    processes : those that work"""
+    processes, cluster : those that work; a cluster that is there comes first"""
 
     folder: Path | None = None
     resume: bool = False
@@ -85,6 +85,7 @@ class Options:
     progress: Progress = lambda phase, done, total: None
     notice: Notice = print
     processes: Processes = field(default_factory=Processes)
+    cluster: Cluster | None = None
 
 
 def process(config: JobConfig, options: Options) -> dict[str, Any]:
@@ -97,8 +98,6 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
     if (options.workers or 1) > 1 and options.executor is None:
         options.processes.prepare()
     inputs = open_inputs(config, options.progress)
-    for notice in inputs.notices:
-        options.notice(notice)
     places = Places(inputs, options.folder, options.report, options.overwrite)
     folder = places.folder
     with (
@@ -108,32 +107,28 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
         open_cluster(options.executor, options.map_path, options.notice) as cluster,
         frames_kept(),
     ):
+        report_progress = options.progress
 
-        def progress(
-            phase: str,
-            done: int,
-            total: int | None,
-            report: Progress = options.progress,
-        ) -> None:
+        def progress(phase: str, done: int, total: int | None) -> None:
             check()
-            report(phase, done, total)
+            report_progress(phase, done, total)
 
-        options = replace(options, progress=progress)
-        with options.processes:
-            job = plan_job(inputs, folder, options, started, cluster)
-            chunks = _chunks(job)
-            files = _render(job, chunks, options, cluster)
+        options = replace(options, progress=progress, cluster=cluster)
+        with contextlib.closing(options.processes):
+            log = WorkLog(folder.timings, started)
+            job = plan_job(inputs, folder, options, log)
+            files = _render(job, options)
         start = time.perf_counter()
         if left_out := _join(job, files, places):
             options.notice(
                 "damaged packets of sound, subtitles or data that were left out:"
                 f" {left_out}"
             )
-        report = build_report(job, chunks, time.perf_counter() - start)
+        report = build_report(job, time.perf_counter() - start)
         write(folder.report, json.dumps(report, indent=1))
         folder.clear("chunks")
         folder.clear("stretches")
-        del job, chunks, files  # the page reads the facts again
+        del job, files  # the page reads the facts again
         if options.finish is not None:
             options.finish(folder.path)
         folder.placed.unlink(missing_ok=True)
@@ -158,12 +153,12 @@ def plan_job(
     inputs: Inputs,
     folder: JobFolder,
     options: Options,
-    started: float | None = None,
-    cluster: Cluster | None = None,
+    log: WorkLog | None = None,
 ) -> Job:
-    """Analyse (or resume that) and plan. started : `work_clock` when the work began; None = now"""
-    config = inputs.config
-    log = WorkLog(folder.timings, work_clock() if started is None else started)
+    """Analyse (or resume that) and plan. log : None = the work begins now"""
+    config, log = inputs.config, log or WorkLog(folder.timings)
+    for notice in inputs.notices:
+        options.notice(notice)
     analysis_key, job_key = job_keys(inputs)
     stages, prices = make_stages(config), load_prices()
     policy = level_policy(config, stages, prices)
@@ -173,49 +168,43 @@ def plan_job(
         else errors_of_clip(config.pipeline.tradeoff)
     )
     write(folder.job, MARK + to_toml(frozen(config)))
-    write(
-        folder.inputs,
-        json.dumps(
-            {"camera": inputs.camera.to_json(), "output": inputs.output.to_json()}
-        ),
+    for_workers = WorkerInputs(
+        analysis_key, inputs.camera, inputs.output, inputs.prints
     )
+    write(folder.inputs, json.dumps(for_workers.to_json()))
     fresh = not folder.sealed(job_key)
     if fresh:
         folder.unseal()
         folder.clear("chunks/")  # another plan may choose other levels
-        _analyse(inputs, folder, analysis_key, options, log, cluster)
+        _analyse(inputs, folder, analysis_key, options, log)
     analysed, facts = ClipAnalysis.read(folder), list(read_facts(folder.facts))
     scene = analysed.scene(config, inputs.camera, inputs.model, folder)
     start = work_clock()
     if fresh:
+        cluster = options.cluster
         workers = options.workers if cluster is None else cluster.workers
         size = _size(inputs, analysed, stages, log.spent(analysis_key, []), workers)
-        notices: list[str] = []
         plans, document = wait_for(
             "plan",
             lambda: choose(
-                config,
-                stages,
-                facts,
-                scene,
-                policy,
-                errors,
-                prices,
-                size,
-                notices.append,
+                config, stages, facts, scene, policy, errors, prices, size
             ),
             options.progress,
         )
-        for notice in notices:
-            options.notice(notice)
+        levels = document["levels"]
+        if not levels["met"]:
+            options.notice(levels["why"])
+        if levels["by"] == "budget" and not prices.calibrated:
+            options.notice(
+                "the budget rests on shipped prices, wide intervals: `arfx bench"
+                " --calibrate` measures this machine's"
+            )
         write(folder.plan_summary, json.dumps(document, indent=1))
         write(folder.plan, (json.dumps(p.to_json()) + "\n" for p in plans))
         folder.seal(job_key)
     document = json.loads(folder.plan_summary.read_text(encoding="utf-8"))
     plans = Lines(folder.plan, FramePlan.from_line)[:]
-    plan = JobPlan(
-        plans, document["levels"], document["predicted"], work_clock() - start
-    )
+    plan = JobPlan(plans, **document, seconds=work_clock() - start)
     return Job(
         inputs,
         folder,
@@ -238,17 +227,17 @@ def _size(
     spent: TimeSpent,
     stated: int | None,
 ) -> JobSize:
-    frames, area_px = len(analysed.pts), inputs.camera.rect.area
+    frames, area_px = len(analysed.frames.pts), inputs.camera.rect.area
     workers, threads = worker_count(frames * area_px, stated)
-    workers = max(min(workers, len(borders(frames))), 1)
+    workers = max(min(workers, len(chunks_of(frames))), 1)
     return JobSize(
         frames,
         area_px / 1e6,
-        spent.seconds.get("decode", 0.0),
-        spent.wall_s,
+        spent.seconds["decode"],
+        work_clock() - spent.wall_s,
         inputs.output.codec,
         workers,
-        0 if threads or workers == 1 else workers,
+        threads or workers == 1,
         inputs.model.face_count / 1e6,
         frozenset(
             name
@@ -264,7 +253,6 @@ def _analyse(
     analysis_key: str,
     options: Options,
     log: WorkLog,
-    cluster: Cluster | None = None,
 ) -> None:
     config, anchor = inputs.config, inputs.config.model.anchor
 
@@ -294,21 +282,17 @@ def _analyse(
         light_method(config),
         inputs.prints,
     )
-    span = (config.input.start, config.input.end)
-
-    done = analyse_clip(
-        inputs.info,
+    span = Span(inputs.info, config.input.start, config.input.end)
+    clip, frames = analyse_clip(
+        span,
         job,
         required_facts(config),
-        span,
-        options.progress,
         folder,
         analysis_key,
         log,
-        _run(analyse_stretch, inputs, folder, analysis_key, options, cluster),
+        _run(analyse_stretch, inputs, folder, analysis_key, options),
     )
-    clip = done.analysis
-    check_times(inputs.output, done.pts, inputs.info.time_base)
+    check_times(inputs.output, frames.pts, inputs.info.time_base)
     seen, notices = clip.summary["markers_seen"], list(clip.notices)
     if anchor == MARKER:
         notices += [
@@ -316,18 +300,18 @@ def _analyse(
             for m in config.markers
             if not seen.get(m.key)
         ]
-    if done.truncated:
-        notices.append(done.truncated)
-    if done.damaged and not done.missing:
+    if frames.truncated:
+        notices.append(frames.truncated)
+    if frames.damaged and not frames.missing:
         notices.append(
             f"{inputs.info.path}: packets are damaged, lost or joined: what a frame lacks"
             " is the decoder's guess"
         )
-    if done.missing:
-        count = counted(sum(count for _, count in done.missing), "frames")
+    if frames.missing:
+        count = counted(sum(count for _, count in frames.missing), "frames")
         notices.append(
             f"{inputs.info.path}: {count} missing, damaged or not in the file:"
-            f" {places_in_words(done.missing)}"
+            f" {places_in_words(frames.missing)}"
         )
     notices += check_size(scene_of(clip), clip.facts)
     for notice in notices:
@@ -335,19 +319,14 @@ def _analyse(
     write_facts(folder.facts, clip.facts)
     write(folder.environment, to_bytes({MAPS: dict(clip.environment_maps)}))
     ClipAnalysis(
-        done.pts,
-        done.keys,
+        frames,
         clip.anchor.key,
         clip.world_from_marker,
         clip.static,
         clip.summary,
-        done.truncated,
         pick_previews(clip.facts),
         [*inputs.notices, *notices],
         clip.real_planes,
-        done.careful,
-        done.missing,
-        done.damaged,
     ).write(folder)
 
 
@@ -357,7 +336,6 @@ def _run(
     folder: JobFolder,
     key: str,
     options: Options,
-    cluster: Cluster | None,
 ) -> Run:
     """What has tasks done, by this machine's workers or a cluster's. key : of what is done"""
 
@@ -366,42 +344,37 @@ def _run(
         workers, threads = worker_count(pixels, options.workers)
         if min(workers, len(tasks)) <= 1:
             return run_serial(tasks, progress, work)
-        parallel = run_threads if threads else options.processes.run
-        return parallel(tasks, workers, progress, work)
+        if threads:
+            return run_threads(tasks, [work] * workers, progress)
+        return options.processes.run(tasks, workers, progress, work)
 
-    if cluster is None:
+    if options.cluster is None:
         return run_here
-    return cluster.run(inputs, folder, key, work is render_chunk, run_here)
+    return options.cluster.run(inputs, folder, key, work is render_chunk, run_here)
 
 
-def _chunks(job: Job) -> list[Chunk]:
-    return [Chunk(first, last, job.key) for first, last in borders(len(job.facts))]
-
-
-def _render(
-    job: Job, chunks: list[Chunk], options: Options, cluster: Cluster | None = None
-) -> list[Path]:
+def _render(job: Job, options: Options) -> list[Path]:
     """The chunks' files, in order; those that are there already are kept."""
     folder, suffix = job.folder, chunk_suffix(job.inputs.output)
-    files = {c.first: find_chunk(folder.chunks, c.name, suffix) for c in chunks}
-    todo = [c for c in chunks if files[c.first] is None]
-    names, total = {c.first: c.name for c in todo}, len(job.facts)
-    tasks: list[Task] = [
-        (str(folder.path), job.key, c.first, c.last, str(folder.chunks / c.name))
-        for c in todo
-    ]
+    files = {
+        c.first: find_chunk(folder.chunks, c.name(job.key), suffix)
+        for c in job.chunks
+    }
+    todo = [c for c in job.chunks if files[c.first] is None]
+    left, total = sum(c.frames for c in todo), len(job.facts)
 
     def progress(done: int) -> None:
-        options.progress("render", total - sum(c.frames for c in todo) + done, total)
+        options.progress("render", total - left + done, total)
 
     progress(0)
-    run = _run(render_chunk, job.inputs, folder, job.key, options, cluster)
+    run = _run(render_chunk, job.inputs, folder, job.key, options)
+    tasks = [(str(folder.path), job.key, chunk) for chunk in todo]
     # an error here too stops the workers
     with contextlib.closing(run(tasks, total, progress)) as results:
         for result in results:
-            files[result["first"]] = folder.chunks / result["file"]
-            job.log.note(CHUNK, names[result["first"]], **result)
-    progress(sum(c.frames for c in todo))
+            files[result["first"]] = folder.path / result["file"]
+            job.log.note(CHUNK, **result)
+    progress(left)
     return [path for path in files.values() if path is not None]
 
 
@@ -415,7 +388,7 @@ def _join(job: Job, files: Sequence[Path], places: Places) -> int:
     try:
         return join_chunks(
             files,
-            job.analysed.pts,
+            job.analysed.frames.pts,
             output,
             job.inputs.info,
             output.path,

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from arfx.core.guard import atomic_write
-from arfx.core.opener import why
+from arfx.core.opener import printable, why
 from arfx.errors import ConfigError, RenderError
 
 if TYPE_CHECKING:
@@ -44,17 +44,12 @@ def locked(folder: Path, option: str, temporary: bool = False) -> Iterator[None]
             contextlib.suppress(OSError),
             atomic_write(folder / HOLDER) as part,
         ):  # without it, on a full disk, others cannot see who
-            command = (
-                shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
-                .encode("utf-8", "backslashreplace")
-                .decode()
-            )
-            since = time.strftime("%Y-%m-%d %H:%M:%S")
+            command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
             me = {
                 "pid": os.getpid(),
                 "host": socket.gethostname(),
-                "since": since,
-                "command": command,
+                "since": time.strftime("%Y-%m-%d %H:%M:%S"),
+                "command": printable(command),
             }
             part.write_text(json.dumps(me), encoding="utf-8")
         yield

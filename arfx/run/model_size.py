@@ -68,13 +68,12 @@ def check_size(scene: Scene, facts: Sequence[FrameFacts]) -> list[str]:
     Raises ConfigError where the camera is inside the object in most frames.
     """
     size = model_size(scene, facts)
-    posed = [f for f in facts if f.camera_from_world is not None]
-    looked = posed[:: max(len(posed) // _LOOKED, 1)]
-    model_from_world = np.linalg.inv(scene.world_from_model)
-    inside = [
-        _winding(scene.model, _camera_in_model(f, model_from_world)) > 0.5
-        for f in looked
+    poses = [p for f in facts if (p := f.camera_from_world) is not None]
+    looked = poses[:: max(len(poses) // _LOOKED, 1)]
+    cameras = [
+        np.linalg.inv(pose.matrix @ scene.world_from_model)[:3, 3] for pose in looked
     ]
+    inside = [_winding(scene.model, camera) > 0.5 for camera in cameras]
     if 2 * sum(inside) > len(inside):
         raise ConfigError(
             f"the camera is inside the object ({size_in_words(size)})", _REMEDY
@@ -88,12 +87,6 @@ def check_size(scene: Scene, facts: Sequence[FrameFacts]) -> list[str]:
     return [
         f"the object is {which} for where it stands: {size_in_words(size)}. {_REMEDY}"
     ]
-
-
-def _camera_in_model(facts: FrameFacts, model_from_world: ndarray) -> ndarray:
-    assert facts.camera_from_world is not None
-    centre = facts.camera_from_world.inverse().translation_m
-    return model_from_world[:3, :3] @ centre + model_from_world[:3, 3]
 
 
 def _winding(model: Model, point: ndarray) -> float:

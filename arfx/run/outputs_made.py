@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from arfx.core.codec import Document
 from arfx.core.guard import TIMES, fingerprint
 from arfx.errors import ConfigError
 from arfx.media.output import image_names, names_sequence
@@ -19,76 +20,57 @@ NAME = ".arfx-batch.jsonl"
 
 
 @dataclass(frozen=True)
-class Made:
-    """key : of the job;  files : digest of the output's fingerprints;  seconds, frames :
-    that it took, and has
+class Made(Document):
+    """output : its name;  key : of the job;  files : digest of the output's fingerprints;
+    seconds, frames : that it took, and has
     """
 
+    output: str
     key: str
     files: str
     seconds: float
     frames: int
 
 
-@dataclass(frozen=True)
 class OutputsMade:
-    """Of one folder."""
+    """Of one folder. Raises ConfigError where the list is a link: what was made is never
+    written to, nor read from, a file elsewhere."""
 
-    folder: Path
-    _path = property(lambda self: self.folder / NAME)
-
-    def of(self, output: Path) -> Made | None:
-        """What is known of an output that is as it was made; None = nothing, or it has
-        changed since.
-        """
-        made = self._rows.get(place(output).name)
-        return made if made is not None and made.files == _files(output) else None
-
-    def files(self) -> frozenset[Path]:
-        """Files in the folder that are as a batch made them."""
-        paths = ((self.folder / name, made) for name, made in self._rows.items())
-        return frozenset(
-            path
-            for path, made in paths
-            if path.is_file() and made.files == _files(path)
-        )
-
-    def note(self, output: Path, key: str, seconds: float, frames: int) -> None:
-        """Raises RenderError where it cannot be written."""
-        row = {
-            "output": place(output).name,
-            "key": key,
-            "files": _files(output),
-            "seconds": seconds,
-            "frames": frames,
-        }
-        self._check_link()
-        try:
-            append_line(self._path, row)
-        except OSError as e:
-            raise disk_error(e, self._path) from None
-
-    def _check_link(self) -> None:
-        """What was made is never written to, nor read from, a file elsewhere."""
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / NAME
         if self._path.is_symlink():
             raise ConfigError(
                 f"{self._path} is a link",
                 "remove it: batches keep there what they have made",
             )
 
+    def of(self, output: Path) -> Made | None:
+        """What is known of an output that is as it was made; None = nothing, or it has
+        changed since.
+        """
+        made = self._made.get(place(output).name)
+        return made if made is not None and made.files == _files(output) else None
+
+    def files(self) -> set[Path]:
+        """Files in the folder that are as a batch made them."""
+        paths = map(self._path.with_name, self._made)
+        return {path for path in paths if path.is_file() and self.of(path)}
+
+    def note(self, output: Path, key: str, seconds: float, frames: int) -> None:
+        """Raises RenderError where it cannot be written."""
+        made = Made(place(output).name, key, _files(output), seconds, frames)
+        try:
+            append_line(self._path, made.to_json())
+        except OSError as e:
+            raise disk_error(e, self._path) from None
+
     @cached_property
-    def _rows(self) -> Mapping[str, Made]:
-        self._check_link()
+    def _made(self) -> Mapping[str, Made]:
         out: dict[str, Made] = {}
         for row in read_lines(self._path):
-            with contextlib.suppress(ValueError, KeyError, TypeError, OverflowError):
-                made = Made(
-                    str(row["key"]),
-                    str(row["files"]),
-                    float(row["seconds"]),
-                    int(row["frames"]),
-                )
-                out[str(row["output"])] = made
+            with contextlib.suppress(ValueError):
+                made = Made.from_json(row)
+                out[made.output] = made
         return out
 
 

@@ -10,53 +10,48 @@ from arfx.config.sections import JobConfig
 from arfx.core.settings import converted
 from arfx.core.stage import Stage, blamed
 from arfx.errors import ConfigError
-from arfx.papers import CORRECTED, FORMULAS
+from arfx.papers import CORRECTED, FORMULAS, PAPER
 from arfx.stages import ALWAYS, ON_DEPTH, STAGES, stages_with
 
 
 def parameters() -> Mapping[str, Mapping[str, Any]]:
     """Section name -> formula -> model of its settings, for every stage, the analysis and the
     light that it reads; the usual formula first."""
-    printed = {
-        formula: table["light"].Params
-        for formula, table in FORMULAS.items()
-        if "light" in table
-    }
+    light = {f: method.Params for f, method in _printed("light").items()}
     analysis: dict[str, dict[str, Any]] = {
         "analyse": {CORRECTED: AnalyseParams},
-        "light": {CORRECTED: LightParams, **printed},
+        "light": {CORRECTED: LightParams, **light},
     }
     return analysis | {
-        name: {f: stage.Params for f, stage in _classes(name).items()}
+        name: {f: stage.Params for f, stage in _stages(name).items()}
         for name in STAGES
     }
 
 
-def _classes(name: str) -> dict[str, type[Stage]]:
+def _printed(name: str) -> dict[str, Any]:
+    """Of a stage or the light, as papers print it: its class by formula."""
+    return {f: table[name] for f, table in FORMULAS.items() if name in table}
+
+
+def _stages(name: str) -> dict[str, type[Stage]]:
     """A stage's class by formula."""
-    return {
-        CORRECTED: STAGES[name],
-        **{
-            formula: table[name]
-            for formula, table in FORMULAS.items()
-            if name in table
-        },
-    }
+    return {CORRECTED: STAGES[name], **_printed(name)}
 
 
 def stage_of(name: str, params: Any) -> Stage:
     """The stage with these settings, under their formula."""
     formula = getattr(params, "formula", CORRECTED)
-    kind = _classes(name).get(formula, STAGES[name])
+    kind = _printed(name).get(formula, STAGES[name])
     with blamed(kind, "while it is made"):
-        return kind(params)
+        stage: Stage = kind(params)
+    return stage
 
 
 def under_other_formula(name: str, params: Any) -> Stage | None:
     """The stage under the formula that these settings do not choose, with those that both
     have; None = it has one formula.
     """
-    for formula, stage in _classes(name).items():
+    for formula, stage in _stages(name).items():
         if formula != getattr(params, "formula", CORRECTED):
             return stage(converted(params, stage.Params))
     return None
@@ -125,17 +120,23 @@ def with_machine_settings(config: JobConfig) -> JobConfig:
     return config.model_copy(update=settled)
 
 
-def quality_notices(config: JobConfig) -> list[str]:
-    """What a quality by name comes to where an effect of the job has no such level."""
-    quality = config.pipeline.quality
-    if quality != "high" or any(
-        quality in stage.levels for stage in make_stages(config).values()
-    ):
-        return []
-    return [
-        "quality high is standard: no effect of this job has a level between standard and"
-        " reference"
-    ]
+def quality_notices(quality: str, stages: Mapping[str, Stage]) -> list[str]:
+    """What a quality by name comes to where stages of the job have no such level."""
+    without = [name for name, stage in stages.items() if quality not in stage.levels]
+    printed = ", ".join(
+        n for n in without if getattr(stages[n].params, "formula", "") == PAPER
+    )
+    notices = []
+    if printed:
+        notices.append(
+            f"--quality {quality}: {printed} as printed, which has one level, standard"
+        )
+    if quality == "high" and len(without) == len(stages):
+        notices.append(
+            "quality high is standard: no effect of this job has a level between standard"
+            " and reference"
+        )
+    return notices
 
 
 def light_method(config: JobConfig) -> Callable[..., Analysis] | None:

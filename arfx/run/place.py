@@ -47,21 +47,19 @@ def files_read(inputs: Inputs) -> Iterator[tuple[str, Path]]:
     """
     yield from files_named(inputs.config)
     yield from (("file of the model", path) for path in inputs.model.files)
-    yield from (
-        ("depth map", path)
-        for path in (() if inputs.depth is None else inputs.depth.files)
-    )
+    if inputs.depth is not None:
+        yield from (("depth map", path) for path in inputs.depth.files)
 
 
 def files_named(config: JobConfig) -> Iterator[tuple[str, Path]]:
     """(what it is, path) of every path of a configuration, and of the files that it was
     read from.
     """
-    sections = [dict(s) for s in (config.input, config.model, config.pipeline)]
-    sections += [vars(p) for p in config.params.values()]
-    for key, value in (pair for section in sections for pair in section.items()):
-        if isinstance(value, Path):
-            yield "model" if key == "file" else key.replace("_", " "), value
+    sections = config.input, config.model, config.pipeline, *config.params.values()
+    for section in sections:
+        for key, value in vars(section).items():
+            if isinstance(value, Path):
+                yield "model" if key == "file" else key.replace("_", " "), value
     yield from (("pattern", p.image) for p in config.patterns)
     yield from (("job file", path) for path in config.sources)
 
@@ -104,16 +102,13 @@ class Places:
     def check(self) -> None:
         """Refuse what would destroy or replace anything that it may not. Raises ConfigError."""
         self.check_output()
-        for path in (self._output.path, self._report, self._home.path):
-            if path is not None and (
-                path is not self._home.path or self.folder is not self._home
-            ):
-                _outside(path, self.folder.path)
+        folders, others = {self._home.path, self.folder.path}, [self._output.path]
         if self._report is not None:
-            _outside(self._report, self._home.path)
+            others.append(self._report)
             self._guard.files(self._report, REPORT_FILES, "--report")
-        if self.folder is not self._home:
-            _outside(self.folder.path, self._home.path)
+        for folder in folders:
+            for path in (*others, *(folders - {folder})):
+                _outside(path, folder)
         for place in {self._home, self.folder}:
             self._guard.folder(place.path, "--job" if self._named else "-o")
             self._guard.check_not_read(
@@ -161,12 +156,9 @@ class Places:
             except JobInterruptedError:
                 raise
             except BaseException as e:
-                same_end = isinstance(e, NothingToDoError) or (
-                    isinstance(e, (ConfigError, InputError)) and not resume
-                )
-                if (
-                    same_end
-                ):  # another try with the same command would not get further
+                final = () if resume else (ConfigError, InputError)
+                if isinstance(e, (NothingToDoError, *final)):
+                    # another try with the same command would not get further
                     self.folder.clear("stretches/")
                 if not self.folder.resumable:
                     self.folder.clear()

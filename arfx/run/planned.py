@@ -21,6 +21,7 @@ from arfx.core.scene import Scene
 from arfx.core.stage import Stage
 from arfx.run.folder import JobFolder, write
 from arfx.run.inputs import Inputs, make_scene
+from arfx.run.schedule import FrameRange, chunks_of
 from arfx.run.times import WorkLog
 
 MAPS = "maps"  # the table of a clip's surroundings, in a file of their own
@@ -28,31 +29,37 @@ _PLACES_SAID = 5  # places, of those where frames are missing
 
 
 @dataclass(frozen=True)
-class ClipAnalysis(Document):
-    """The analysis of the whole clip, beside the `FrameFacts` of each frame.
+class DecodedFrames(Document):
+    """The frames to render. pts : their presentation times, in time base units
 
-    pts, keys : presentation times of all frames, in time base units, and numbers of the key frames
-    anchor : key of the marker, or of the plane, under the object;  static : what is at rest
-    truncated : why the clip ends early, or None;  previews : frames of which the report
-    shows a picture
-    summary : for the report;  careful : frames are read as `ClipReader` says
+    truncated : why the clip ends early, or None;  careful : they are read as `ClipReader`
+    says
     missing : (seconds from the clip's first frame, number) of frames that the clip does not
     give, where they would be
     damaged : parts of the clip cannot be read; the decoder may have had to guess them"""
 
     pts: list[int]
-    keys: list[int]
+    truncated: str | None
+    careful: bool
+    missing: Sequence[tuple[float, int]]
+    damaged: bool
+
+
+@dataclass(frozen=True)
+class ClipAnalysis(Document):
+    """The analysis of the whole clip, beside the `FrameFacts` of each frame.
+
+    anchor : key of the marker, or of the plane, under the object;  static : what is at rest
+    previews : frames of which the report shows a picture;  summary : for the report"""
+
+    frames: DecodedFrames
     anchor: str
     world_from_marker: Mapping[str, Pose]
     static: str
     summary: Mapping[str, Any]
-    truncated: str | None
     previews: Sequence[int]
     notices: Sequence[str]
     real_planes: Sequence[RealPlane]
-    careful: bool
-    missing: Sequence[tuple[float, int]]
-    damaged: bool
 
     def scene(
         self, config: JobConfig, camera: Camera, model: Model, folder: JobFolder
@@ -110,6 +117,10 @@ class Job:
     prices: Prices
     plan: JobPlan
     log: WorkLog
+
+    @property
+    def chunks(self) -> list[FrameRange]:
+        return chunks_of(len(self.facts))
 
 
 def places_in_words(missing: Sequence[tuple[float, int]]) -> str:

@@ -7,7 +7,8 @@ beside it) + what every worker prepares
 prepares again.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from arfx.config.sections import JobConfig
@@ -18,22 +19,16 @@ from arfx.core.plan import FramePlan, levels_of
 from arfx.core.scene import Scene
 from arfx.core.stage import Stage
 from arfx.errors import ConfigError
-from arfx.papers import PAPER
 from arfx.plan.clip import LevelPolicy, plan_clip
 from arfx.plan.errors import Errors
 from arfx.plan.explain import without_price
 from arfx.plan.levels import sum_by_stage, sum_correlated
-from arfx.run.schedule import borders, elapsed
+from arfx.run.schedule import chunks_of, elapsed
 
 DECODE_SPREAD = (
     0.25  # decoding again beside the rendering, against decoding beside the analysis
 )
-UNSHARED = (
-    "before",
-    "prepare",
-    "join",
-    "report",
-)  # phases that the workers do not share
+SHARED = ("decode", "stages", "edit", "encode")  # phases that the workers share
 
 
 class JobSize(NamedTuple):
@@ -41,18 +36,18 @@ class JobSize(NamedTuple):
 
     frame_mpx : millions of pixels of a frame;  frames : of the job;  decode_s : of all
     frames, as the analysis measured it
-    before_s : seconds up to now;  workers, processes : how many render, and how many of
-    them are further processes
+    began : what `work_clock` said before any of the job was done
+    workers : how many render;  threads : of this process
     checked : stages that the report may prepare once more, for their health
     """
 
     frames: int
     frame_mpx: float
     decode_s: float
-    before_s: float
+    began: float
     codec: str
     workers: int
-    processes: int
+    threads: bool
     mfaces: float
     checked: frozenset[str]
 
@@ -71,7 +66,7 @@ class JobPrediction(NamedTuple):
         """Of the whole job; None where a phase is not known. Errors of the phases are
         correlated: a machine that is slower today is so for all of them."""
         known = [
-            p if name in UNSHARED else p.times(self.share)
+            p.times(self.share) if name in SHARED else p
             for name, p in self.phases.items()
             if p is not None
         ]
@@ -107,43 +102,40 @@ def predict(
         "frames": float(len(changed)),
         "mpx": sum(p.rect.area + p.changed.area for p in changed) / 1e6,
     }
-    edit = prices.predict("edit", edited) if changed else measured(0.0)
     whole = {"frames": float(size.frames), "mpx": size.frames * size.frame_mpx}
-    encode = prices.predict(f"encode {size.codec}", whole)
-    edit_s, encode_s = (0.0 if p is None else p.seconds for p in (edit, encode))
-    alone = 1.0 if size.processes else prices.alone
-    share = _share(plans, work, size, edit_s, encode_s, alone)
-    phases = {
-        "before": measured(size.before_s),
-        "prepare": measured(0.0)
-        if prepared
-        else prepare(levels_of(plans), size, prices),
+    shared = {
         "decode": with_spread(size.decode_s, DECODE_SPREAD),
         "stages": work,
-        "edit": edit,
-        "encode": encode,
+        "edit": prices.predict("edit", edited) if changed else measured(0.0),
+        "encode": prices.predict(f"encode {size.codec}", whole),
+    }
+    levels = levels_of(plans)
+    phases = {
+        "before": measured(work_clock() - size.began),
+        "prepare": measured(0.0) if prepared else prepare(levels, size, prices),
+        **shared,
         "join": prices.predict("join", whole),
         "report": prepare(
-            {at for at in levels_of(plans) if at[0] in size.checked}, size, prices
+            {at for at in levels if at[0] in size.checked}, size, prices
         ),
     }
+    seconds = {name: p.seconds for name, p in shared.items() if p is not None}
+    share = _share(plans, defaultdict(float, seconds), size, prices.alone)
     return JobPrediction(phases, share, size.workers)
 
 
 def _share(
     plans: Sequence[FramePlan],
-    work: Prediction | None,
+    seconds: Mapping[str, float],
     size: JobSize,
-    edit_s: float,
-    encode_s: float,
     alone: float,
 ) -> float:
     """Wall seconds per second of work that the workers share, chunk by chunk. A worker that
     is alone encodes while it renders.
 
-    alone : as of `elapsed`"""
-    stages_s = 0.0 if work is None else work.seconds
-    total_s = size.decode_s + edit_s + encode_s + stages_s
+    seconds : of the phases that they share;  alone : as of `elapsed`, of threads"""
+    total_s = sum(seconds.values())
+    stages_s, encode_s = seconds["stages"], seconds["encode"]
     if total_s <= 0:
         return 1.0 / size.workers
     if size.workers == 1:
@@ -152,10 +144,10 @@ def _share(
     scale = stages_s / (sum(planned) or 1.0)
     per_frame_s = (total_s - stages_s) / size.frames
     loads = [
-        per_frame_s * (b - a + 1) + scale * sum(planned[a : b + 1])
-        for a, b in borders(size.frames)
+        per_frame_s * c.frames + scale * sum(planned[c.first : c.last + 1])
+        for c in chunks_of(size.frames)
     ]
-    return elapsed(loads, size.workers, alone) / total_s
+    return elapsed(loads, size.workers, alone if size.threads else 1.0) / total_s
 
 
 def prepare(
@@ -219,22 +211,6 @@ def level_policy(
     return LevelPolicy(p.quality, p.budget, p.max_error)
 
 
-def without_level(stages: Mapping[str, Stage], quality: str) -> str:
-    """What to say of printed methods, which do not have the quality that was asked for; ""
-    where there is nothing to say.
-    """
-    names = [
-        n
-        for n, s in stages.items()
-        if getattr(s.params, "formula", "") == PAPER and quality not in s.levels
-    ]
-    return (
-        f"--quality {quality}: {', '.join(names)} as printed, which has one level, standard"
-        if names
-        else ""
-    )
-
-
 def choose(
     config: JobConfig,
     stages: Mapping[str, Stage],
@@ -244,21 +220,13 @@ def choose(
     errors: Errors,
     prices: Prices,
     size: JobSize,
-    notice: Callable[[str], None],
 ) -> tuple[list[FramePlan], dict[str, Any]]:
     """The plans of all frames, and {predicted, levels}: final, whatever the job measures later."""
     if config.pipeline.fps is not None:
         policy = policy._replace(budget_s=len(facts) / config.pipeline.fps)
 
-    began = work_clock()
-
-    def by_now() -> JobSize:
-        return size._replace(
-            before_s=size.before_s + work_clock() - began
-        )  # planning takes its time too
-
     def upper_s(plans: Sequence[FramePlan], work: Prediction) -> float:
-        wall = predict(plans, work, by_now(), prices, prepared=True).wall
+        wall = predict(plans, work, size, prices, prepared=True).wall
         if wall is None:
             raise ConfigError(
                 f"a budget needs the price of everything, and encoding {size.codec} has"
@@ -269,9 +237,8 @@ def choose(
 
     def prepare_cost(stage: str, level: str) -> Prediction | None:
         found = prepare_one(stage, level, size, prices)
-        return (
-            None if found is None else found.times(size.workers)
-        )  # no worker helps another with it
+        # no worker helps another with it
+        return None if found is None else found.times(size.workers)
 
     plan = plan_clip(
         list(stages.values()),
@@ -284,19 +251,7 @@ def choose(
         config.pipeline.skip,
         prepare_cost,
     )
-    if not plan.choice.met:
-        notice(plan.choice.why)
-    if (
-        policy.budget_s is None
-        and policy.max_error is None
-        and (printed := without_level(stages, policy.quality))
-    ):
-        notice(printed)
-    if policy.budget_s is not None and not prices.calibrated:
-        notice(
-            "the budget rests on shipped prices, wide intervals: `arfx bench --calibrate`"
-            " measures this machine's"
-        )
+    predicted = predict(plan.plans, time_of_stages(plan.plans), size, prices)
     by = (
         "budget"
         if policy.budget_s is not None
@@ -305,11 +260,7 @@ def choose(
         else "quality"
     )
     return plan.plans, {
-        "predicted": (
-            predict(plan.plans, time_of_stages(plan.plans), by_now(), prices).to_json(
-                prices
-            )
-        ),
+        "predicted": predicted.to_json(prices),
         "levels": {
             "by": by,
             "budget_s": policy.budget_s,

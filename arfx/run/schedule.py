@@ -19,29 +19,28 @@ T = TypeVar("T")
 SHORTEST, LONGEST, WANTED = 30, 120, 8
 
 
-@dataclass(frozen=True, slots=True)
-class Chunk:
-    """Frames first … last, inclusive; key : of the job."""
+@dataclass(frozen=True)
+class FrameRange:
+    """Frames first … last of a job, inclusive: what a worker does at once."""
 
     first: int
     last: int
-    key: str
-
-    @property
-    def name(self) -> str:
-        """Its file's, up to the digest of its content (`arfx.run.folder.content_digest`)
-        and the extension.
-        """
-        return f"{self.first:06d}-{self.last:06d}.{self.key}"
 
     @property
     def frames(self) -> int:
         return self.last - self.first + 1
 
+    def name(self, key: str) -> str:
+        """Its file's; a chunk's up to the digest of its content
+        (`arfx.run.folder.content_digest`) and the extension.
+
+        key : of the job, or of its analysis"""
+        return f"{self.first:06d}-{self.last:06d}.{key}"
+
 
 def find_chunk(folder: Path, name: str, suffix: str) -> Path | None:
-    """The file of the chunk with this name (`Chunk.name`), if there is one that is as it
-    was written.
+    """The file of the chunk with this name (`FrameRange.name`), if there is one that is as it was
+    written.
     """
     for path in folder.glob(f"{name}.*{suffix}"):
         with contextlib.suppress(OSError):
@@ -50,12 +49,12 @@ def find_chunk(folder: Path, name: str, suffix: str) -> Path | None:
     return None
 
 
-def borders(frames: int) -> list[tuple[int, int]]:
-    """(first, last) of each chunk: about WANTED of them, between SHORTEST and LONGEST
-    frames each.
-    """
+def chunks_of(frames: int) -> list[FrameRange]:
+    """About WANTED of them, between SHORTEST and LONGEST frames each."""
     length = min(max(-(-frames // WANTED), SHORTEST), LONGEST)
-    return [(a, min(a + length, frames) - 1) for a in range(0, frames, length)]
+    return [
+        FrameRange(a, min(a + length, frames) - 1) for a in range(0, frames, length)
+    ]
 
 
 def work_queues(chunks: Sequence[T], workers: int) -> list[deque[T]]:

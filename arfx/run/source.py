@@ -10,14 +10,16 @@ import contextlib
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from typing import TypeVar
 
 from arfx.core import interrupt
+from arfx.errors import RenderError
 from arfx.media.clip import ClipInfo
 from arfx.media.frames import ClipReader, Frame
+from arfx.run.planned import DecodedFrames
 
 T = TypeVar("T")
 KEPT_BYTES = (
@@ -50,70 +52,44 @@ def behind(
             pool.shutdown(cancel_futures=True)
 
 
-class KeptFrames:
-    """Frames that were decoded to analyse a clip, until each is rendered: those of a short
-    clip are decoded once. None of a clip that is longer than KEPT_BYTES."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._frames: dict[int, Frame] = {}
-        self._left = KEPT_BYTES
-
-    def add(self, frame: Frame) -> None:
-        size = sum(p.buffer_size for p in frame.picture.planes)
-        with self._lock:
-            if self._left >= 0:
-                self._left -= size
-                self._frames[frame.pts] = frame
-            if self._left < 0:
-                self._frames = {}
-
-    def take(self, pts: int) -> Frame | None:
-        """The frame of that time, which is no longer kept."""
-        return self._frames.pop(pts, None)
-
-
-_kept: KeptFrames | None = None
+# Frames that were decoded to analyse a clip, by time, until each is rendered: those of a
+# short clip are decoded once. None of a clip that is longer than KEPT_BYTES.
+_kept: dict[int, Frame] = {}
+_bytes_left = -1
 
 
 @contextlib.contextmanager
 def frames_kept() -> Iterator[None]:
     """Within it, a job's decoded frames may be kept for this process to render."""
-    global _kept
-    _kept = KeptFrames()
+    global _bytes_left
+    _bytes_left = KEPT_BYTES
     try:
         yield
     finally:
-        _kept = None
+        _bytes_left = -1
+        _kept.clear()
 
 
 def keep_frame(frame: Frame) -> None:
-    if _kept is not None:
-        _kept.add(frame)
+    global _bytes_left
+    _bytes_left -= sum(p.buffer_size for p in frame.picture.planes)
+    if _bytes_left >= 0:
+        _kept[frame.pts] = frame
+    else:
+        _kept.clear()
 
 
 class ClipFrames:
     """Iterator over a clip's frames from a time on (None = from its start, whatever the
     times are), in order.
 
-    alone : decoding gets threads of its own;  careful, strict, seeks : as of `ClipReader`
     seconds : of decoding so far
     frontier : the next frame is the first at or after that time; None = nobody said so
     """
 
-    def __init__(
-        self,
-        info: ClipInfo,
-        first_pts: int | None,
-        alone: bool,
-        careful: bool = False,
-        strict: bool = False,
-        seeks: bool = True,
-    ) -> None:
-        self.info, self.careful, self.frontier = info, careful, first_pts
-        self.seconds = 0.0
-        self.reader = ClipReader(info, 0 if alone else 1, careful, strict, seeks)
-        self._frames = self.reader.frames(first_pts)
+    def __init__(self, reader: ClipReader, first_pts: int | None) -> None:
+        self.reader, self.frontier, self.seconds = reader, first_pts, 0.0
+        self._frames = reader.frames(first_pts)
         self._back: Frame | None = None
 
     def __iter__(self) -> ClipFrames:
@@ -134,17 +110,23 @@ class ClipFrames:
         """It belongs to what begins at that time."""
         self._back, self.frontier = frame, frontier
 
-    def goes_on_at(self, pts: int, careful: bool) -> bool:
-        """Whether who wants the frames from a time on reads on here."""
-        if self.frontier is None or careful > self.careful:
+    def goes_on_at(self, info: ClipInfo, pts: int | None, careful: bool) -> bool:
+        """Whether who wants the frames of that clip from a time on reads on here."""
+        reader, frontier = self.reader, self.frontier
+        if frontier is None or pts is None or reader.info != info:
             return False
-        return self.frontier == pts or (self.careful and self.frontier < pts)
+        if careful > reader.careful:
+            return False
+        return frontier == pts or (reader.careful and frontier < pts)
 
-    def close(self) -> None:
-        self.reader.close()
+
+class _OfThread(threading.local):
+    """reading : what the thread read from last"""
+
+    reading: ClipFrames | None = None
 
 
-_of_thread = threading.local()  # reading : what the thread read from last
+_of_thread = _OfThread()
 
 
 def clip_frames(
@@ -157,31 +139,26 @@ def clip_frames(
 ) -> ClipFrames:
     """The frames that this thread read last, if they go on at that time of the same clip;
     else new ones.
+
+    alone : decoding gets threads of its own;  careful, strict, seeks : as of `ClipReader`
     """
-    last: ClipFrames | None = getattr(_of_thread, "reading", None)
-    if (
-        last is not None
-        and last.info == info
-        and seeks
-        and first_pts is not None
-        and last.goes_on_at(first_pts, careful)
-    ):
+    last = _of_thread.reading if seeks else None
+    if last is not None and last.goes_on_at(info, first_pts, careful):
         return last
     release()
-    _of_thread.reading = new = ClipFrames(
-        info, first_pts, alone, careful, strict, seeks
-    )
+    reader = ClipReader(info, 0 if alone else 1, careful, strict, seeks)
+    _of_thread.reading = new = ClipFrames(reader, first_pts)
     return new
 
 
 def job_frame(
-    info: ClipInfo, pts: Sequence[int], index: int, alone: bool, careful: bool
-) -> Frame | None:
-    """Frame number `index` of a job; None where the file does not hold a frame of that time.
+    info: ClipInfo, decoded: DecodedFrames, index: int, alone: bool
+) -> Frame:
+    """Frame number `index` of a job. Where it is not found, decoding turns to be careful.
 
-    pts : presentation times of all of its frames;  careful : as of `ClipReader`, which is
-    turned to where a frame is not found otherwise"""
-    if not careful and _kept is not None and (kept := _kept.take(pts[index])):
+    Raises RenderError where the file does not hold a frame of that time any more."""
+    pts, careful = decoded.pts, decoded.careful
+    if not careful and (kept := _kept.pop(pts[index], None)):
         return replace(kept, index=index)
     for trying in sorted({careful, True}):
         source = clip_frames(info, pts[index], alone, trying)
@@ -189,11 +166,15 @@ def job_frame(
         if frame is not None and frame.pts == pts[index]:
             source.frontier = next(iter(pts[index + 1 : index + 2]), None)
             return replace(frame, index=index)
-    return None
+    raise RenderError(
+        f"{info.path}: frame {index} could not be decoded again where the analysis saw it",
+        "the file has changed, or seeking in it is broken: copy it to another container"
+        " and try again",
+    )
 
 
 def release() -> None:
     """Close what this thread reads from."""
-    if (last := getattr(_of_thread, "reading", None)) is not None:
-        last.close()
+    if _of_thread.reading is not None:
+        _of_thread.reading.reader.close()
         _of_thread.reading = None

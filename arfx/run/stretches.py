@@ -6,24 +6,20 @@ there, at least LEAST_FRAMES apart. Every stretch is analysed as if nothing lay 
 (`arfx.analyse.observe`), and sees the first frame of the next one."""
 
 import contextlib
-import json
-import os
 import threading
 import time
 from bisect import bisect_left
-from collections.abc import Callable, Collection, Generator, Mapping
+from collections.abc import Callable, Collection, Generator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy import ndarray
 
 from arfx.analyse.job import AnalysisFrame, AnalysisJob
 from arfx.analyse.observe import Observation
 from arfx.analyse.tables import Tables, tables_of, to_bytes
-from arfx.core.codec import Document, Packed
 from arfx.errors import NothingToDoError
 from arfx.media.clip import ClipInfo
 from arfx.media.frame import Frame
@@ -35,10 +31,10 @@ from arfx.media.frames import (
 )
 from arfx.media.pose_files import CameraPath
 from arfx.run.folder import JobFolder, write
-from arfx.run.memory import peak_mb
 from arfx.run.parameters import required_facts
+from arfx.run.schedule import FrameRange
 from arfx.run.source import clip_frames, keep_frame
-from arfx.run.worker import Paths, frozen_job, keep_memory, who
+from arfx.run.worker import Paths, done_work, frozen_job, keep_memory
 
 LEAST_FRAMES = 120  # of a stretch: shorter ones would cost more than they save
 _ROUNDING_S = 1e-9
@@ -78,34 +74,29 @@ class Span:
 
 
 @dataclass(frozen=True)
-class Stretch(Document):
-    """first, last : its frames, counted from the span's first one, if all can be decoded
+class Stretch(FrameRange):
+    """first, last : counted from the span's first frame, if all can be decoded
     begins, ends : time from which on its frames are, and the next one's; None = the clip's
-    start, its end"""
+    start, its end
+    of : frames of all stretches;  careful : as of `ClipReader`"""
 
-    first: int
-    last: int
     begins: int | None
     ends: int | None
+    of: int
+    careful: bool = False
 
 
 @dataclass(frozen=True)
-class Stretches(Document):
+class Stretches:
     """How a clip is cut. before : frames of the clip before the first one;  truncated : why
     it ends early, or None
     seeks : whether workers can begin anywhere, or only decode from the
-    clip's start
-    careful : in one thread (`ClipReader`)"""
+    clip's start"""
 
     parts: tuple[Stretch, ...]
     before: int
     truncated: str | None
     seeks: bool
-    careful: bool
-
-    @property
-    def frames(self) -> int:
-        return self.parts[-1].last + 1
 
 
 def cut(span: Span, times: FrameTimes | None) -> Stretches:
@@ -131,6 +122,7 @@ def cut(span: Span, times: FrameTimes | None) -> Stretches:
             b - 1 - first,
             times.pts[a] if a else None,
             times.pts[b] if b < stop else None,
+            stop - first,
         )
         for a, b in pairwise(edges)
     ]
@@ -138,7 +130,7 @@ def cut(span: Span, times: FrameTimes | None) -> Stretches:
     if len(parts) > 1:
         with ClipReader(span.info, threads=1) as reader:
             seeks = reader.seeks_to(times.pts[borders[len(borders) // 2]])
-    return Stretches(tuple(parts), first, times.truncated, seeks, False)
+    return Stretches(tuple(parts), first, times.truncated, seeks)
 
 
 def whole(span: Span) -> Stretches:
@@ -149,13 +141,9 @@ def whole(span: Span) -> Stretches:
     known = info.frame_count_stated or (
         round(info.duration_s * info.fps) if info.duration_s and info.fps else 0
     )
-    return Stretches(
-        (Stretch(0, max(known - 1, 0), None, None),),
-        0,
-        None,
-        False,
-        True,
-    )
+    frames = max(known, 1)
+    part = Stretch(0, frames - 1, None, None, frames, careful=True)
+    return Stretches((part,), 0, None, False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,19 +153,6 @@ class Context:
     job: AnalysisJob
     wanted: Collection[str]
     span: Span
-    stretches: Stretches
-
-
-@dataclass(frozen=True)
-class _Listed(Document):
-    """stretches.json: what workers are to know beside the job.
-
-    key : of the analysis;  prints : `AnalysisJob.prints`
-    """
-
-    key: str
-    stretches: Stretches
-    prints: Mapping[str, Annotated[ndarray, Packed("<f4", "f4")]]
 
 
 _contexts: dict[tuple[str, str], Context] = {}
@@ -185,20 +160,9 @@ _OPENING = threading.Lock()
 
 
 def keep(folder: JobFolder, key: str, context: Context) -> None:
-    """For the workers of this process, and, in the folder, for those of others."""
+    """For the workers of this process."""
     _contexts.clear()
     _contexts[str(folder.path), key] = context
-    write(
-        folder.stretch_list,
-        json.dumps(_Listed(key, context.stretches, context.job.prints).to_json()),
-    )
-
-
-def listed(folder: JobFolder, key: str) -> bool:
-    """Whether the folder says where the clip of this analysis is cut."""
-    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-        return bool(json.loads(folder.stretch_list.read_bytes())["key"] == key)
-    return False
 
 
 def open_context(path: str, key: str, paths: Paths) -> Context:
@@ -214,11 +178,10 @@ def _context(folder: JobFolder, paths: Paths) -> Context:
     """Without files of which a stretch needs nothing: where the markers lie, and the
     camera's poses, are asked for in the end.
     """
-    config, info, camera, _ = frozen_job(folder, paths)
-    kept = _Listed.from_line(folder.stretch_list.read_text(encoding="utf-8"))
+    config, info, inputs = frozen_job(folder, paths)
     job = AnalysisJob(
         config.markers,
-        camera,
+        inputs.camera,
         config.params["analyse"],
         config.params["light"],
         anchor=config.model.anchor,
@@ -227,39 +190,27 @@ def _context(folder: JobFolder, paths: Paths) -> Context:
             if config.input.poses is None
             else CameraPath(config.input.poses, (), None)
         ),  # that there are some
-        prints=kept.prints,
-        frames=kept.stretches.frames,
+        prints=inputs.prints,
     )
-    return Context(
-        job,
-        required_facts(config),
-        Span(info, config.input.start, config.input.end),
-        kept.stretches,
-    )
+    span = Span(info, config.input.start, config.input.end)
+    return Context(job, required_facts(config), span)
 
 
 def analyse_stretch(
     folder: str,
     key: str,
-    first: int,
-    last: int,
-    target: str,
+    stretch: Stretch,
     tick: Tick,
     alone: bool = False,
     paths: Paths = (),
 ) -> dict[str, Any]:
-    """Analyse frames first … last into a file of tables that appears when it is whole.
+    """Analyse a stretch into a file of tables that appears when it is whole.
 
-    target : its path;  alone : no other one is analysed meanwhile, so that decoding gets
-    threads of its own
-    Returns the file's name, seconds, who analysed it, and the most memory that this process
-    held. Raises RenderError for a full disk, FrameTimesError where the clip cannot be
-    cut."""
+    alone : no other one is analysed meanwhile, so that decoding gets threads of its own
+    Returns what `done_work` tells. Raises RenderError for a full disk, FrameTimesError where
+    the clip cannot be cut."""
     keep_memory()
     context = open_context(folder, key, paths)
-    stretch = next(
-        s for s in context.stretches.parts if (s.first, s.last) == (first, last)
-    )
     try:
         tables, seconds = observe(context, stretch, tick, alone)
     except FrameDamageError:
@@ -267,33 +218,21 @@ def analyse_stretch(
             raise
         # a strict decoder that began in an open group may miss what it needs not
         tables, seconds = observe(context, stretch, tick, alone, seeks=False)
-    write(Path(target), to_bytes(tables))
-    return {
-        "file": Path(target).name,
-        "first": first,
-        "last": last,
-        "seconds": seconds,
-        "pid": os.getpid(),
-        "rss_mb": peak_mb(),
-        **who(),
-    }
-
-
-class StretchFrame(NamedTuple):
-    """A frame of a stretch. frame : from 0;  key : decoding can begin there"""
-
-    frame: int
-    pts: int
-    key: bool
+    file = JobFolder(Path(folder)).stretches / stretch.name(key)
+    write(file, to_bytes(tables))
+    return done_work(stretch, key, file, seconds)
 
 
 class StretchEnd(NamedTuple):
     """How a stretch ended. before : frames of the clip that were decoded before the span;
-    ended : it reaches the clip's end;  truncated : why early, "" = it is whole"""
+    ended : it reaches the clip's end;  truncated : why early, or empty"""
 
     before: int
     ended: bool
     truncated: str
+
+
+FRAMES = "frames"  # the table of their times
 
 
 def observe(
@@ -303,14 +242,14 @@ def observe(
     alone: bool,
     seeks: bool = True,
 ) -> tuple[Tables, dict[str, float]]:
-    """What the frames of a stretch show, and seconds: the tables of its `Observation`, and of
-    StretchFrame and StretchEnd.
+    """What the frames of a stretch show, and seconds: the tables of its `Observation`, of
+    the frames' times, and of StretchEnd.
 
     seeks : else the clip is decoded from its start"""
-    observation = Observation(context.job, context.wanted)
-    shown = list[StretchFrame]()
+    observation = Observation(context.job, context.wanted, stretch.of)
+    pts = list[int]()
     end = StretchEnd(0, False, "")
-    careful = context.stretches.careful
+    careful = stretch.careful
     strict = not careful and (stretch.begins is None or not alone)
     source = clip_frames(
         context.span.info, stretch.begins, alone, careful, strict, seeks
@@ -340,12 +279,6 @@ def observe(
         check()
         end = end._replace(ended=True, truncated=source.reader.truncated or "")
 
-    def step(frame: Frame, following: Frame | None) -> None:
-        luma = np.ascontiguousarray(frame.luma())
-        after = None if following is None else following.luma
-        index = stretch.first + len(shown)
-        observation.step(AnalysisFrame(index, frame.time_s, luma, frame, after))
-
     with contextlib.closing(frames()) as all_frames:
         frame = next(all_frames, None)
         while frame is not None:
@@ -354,12 +287,16 @@ def observe(
                 break
             following = next(all_frames, None)
             start = time.perf_counter()
-            step(frame, following)
+            luma = np.ascontiguousarray(frame.luma())
+            after = None if following is None else following.luma
+            index = stretch.first + len(pts)
+            observation.step(AnalysisFrame(index, frame.time_s, luma, frame, after))
             analyse_s += time.perf_counter() - start
-            shown.append(StretchFrame(len(shown), frame.pts, frame.key))
+            pts.append(frame.pts)
             if not careful:
                 keep_frame(frame)
             tick()
             frame = following
-    tables = tables_of([*observation.rows(), *shown, end])
+    rows = [*observation.rows(), end]
+    tables = {**tables_of(rows), FRAMES: {"pts": np.array(pts)}}
     return tables, {"decode": source.seconds - decoded_s, "analyse": analyse_s}

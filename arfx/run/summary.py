@@ -3,8 +3,7 @@ of `arfx report`).
 
 `health` holds every estimate with its value, limit, verdict, and what was done about it."""
 
-from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
@@ -24,36 +23,35 @@ from arfx.run.frame import ready_stages, run_frame
 from arfx.run.model_size import model_size
 from arfx.run.parameters import stages_of
 from arfx.run.planned import Job, places_in_words
-from arfx.run.schedule import Chunk
 from arfx.run.times import TimeSpent
 from arfx.stages import STAGES
 
 _SHADING = frozenset({"lightmap", "gi"})  # stages that lay the light on the object
 
 
-def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, Any]:
+def build_report(job: Job, join_s: float) -> dict[str, Any]:
     """The report of a job whose output is written.
 
     join_s : seconds that it took to put the chunks together
     """
     info, analysed, facts = job.inputs.info, job.analysed, job.facts
-    pts = np.array(analysed.pts, dtype=object) * info.time_base
+    pts = np.array(analysed.frames.pts, dtype=object) * info.time_base
     steps = np.diff(pts).astype(float)
     uneven = bool(len(steps) and steps.max() - steps.min() > 0.1 * np.median(steps))
     last_s = float(np.median(steps)) if len(pts) > 1 else 1.0 / (info.fps or 25.0)
     seconds = float(pts[-1] - pts[0]) + last_s
-    spent = job.log.spent(job.analysis_key, [c.name for c in chunks])
+    spent = job.log.spent(job.analysis_key, (c.name(job.key) for c in job.chunks))
     rows = summarise(job.plan.frames, job.stages, job.inputs.camera.rect.area)
     for row in rows:
-        row["measured_s"] = spent.stages.get(row["name"], 0.0)
+        row["measured_s"] = spent.stages[row["name"]]
     plan, output = job.inputs.output, job.inputs.output.path
     written = [output]
     if plan.is_sequence:
         written = [output.with_name(output.name % f.index) for f in facts]
-    lit = {
-        f.index for f in job.plan.frames if any(s.stage in _SHADING for s in f.steps)
-    }
-    shaded = sum(f.light is not None and f.index in lit for f in facts)
+    shaded = sum(
+        f.light is not None and any(s.stage in _SHADING for s in p.steps)
+        for f, p in zip(facts, job.plan.frames, strict=True)
+    )
     return {
         "input": {
             "path": str(info.path),
@@ -65,8 +63,8 @@ def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, 
             "vfr": uneven,
             "rotation": info.rotation_deg,
             "audio": [str(s) for s in info.audio],
-            "truncated": analysed.truncated,
-            "missing": analysed.missing,
+            "truncated": analysed.frames.truncated,
+            "missing": analysed.frames.missing,
             "camera": job.inputs.camera.source,
             "camera_guessed": job.inputs.camera.guessed,
             "stream": info.to_json(),
@@ -88,20 +86,20 @@ def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, 
         "levels": job.plan.levels,
         "predicted": job.plan.predicted,
         "health": [check.to_json() for check in health(job)],
-        "timing": _timing(spent, job.plan.seconds, join_s, chunks),
-        "workers": list(spent.workers),
+        "timing": _timing(spent, len(facts), job.plan.seconds, join_s),
+        "workers": spent.workers,
         "notices": analysed.notices,
     }
 
 
 def _timing(
-    spent: TimeSpent, plan_s: float, join_s: float, chunks: Sequence[Chunk]
+    spent: TimeSpent, frames: int, plan_s: float, join_s: float
 ) -> dict[str, Any]:
     """Of a resumed job the time of all processes whose work is in the output, not of the
     last one alone.
     """
-    s = defaultdict(float, spent.seconds)
-    frames = sum(c.frames for c in chunks)
+    s = spent.seconds
+    timed = sum(worker["frames"] for worker in spent.workers)
     return {
         "decode_s": s["decode"],
         "analyse_s": s["analyse"],
@@ -114,7 +112,7 @@ def _timing(
         "peak_rss_mb": spent.peak_rss_mb,
         "resumed": spent.processes > 1,
         "processes": spent.processes,
-        "frames_untimed": sum(c.frames for c in chunks if c.name in spent.untimed),
+        "frames_untimed": frames - timed,  # a process was killed before it noted them
     }
 
 
@@ -146,15 +144,8 @@ def _pose(job: Job) -> dict[str, Any]:
 
 
 def health(job: Job) -> Iterator[Check]:
-    """Every check of a job whose output is written.
-
-    None of its values is not finite: it would have stopped there.
-    """
-    facts, summary, truncated = (
-        job.facts,
-        job.analysed.summary,
-        job.analysed.truncated,
-    )
+    """Every check of a job whose output is written."""
+    facts, summary, decoded = job.facts, job.analysed.summary, job.analysed.frames
     camera, file = job.inputs.camera, job.inputs.config.input.camera
     known = "guessed" if camera.guessed else "given"
     yield Check(
@@ -183,17 +174,12 @@ def health(job: Job) -> Iterator[Check]:
     yield Check(
         "frames without a pose", absent, 0, absent == 0, "object left out there"
     )
-    missing = sum(count for _, count in job.analysed.missing)
-    state = (
-        "damaged" if job.analysed.damaged else "incomplete" if missing else "whole"
-    )
-    state, action = truncated or state, "processed to its last good frame"
+    missing = sum(count for _, count in decoded.missing)
+    state = "damaged" if decoded.damaged else "incomplete" if missing else "whole"
+    state, action = decoded.truncated or state, "processed to its last good frame"
     yield Check("source file", state, "whole", state == "whole", action)
-    action = f"left out: {places_in_words(job.analysed.missing)}"
+    action = f"left out: {places_in_words(decoded.missing)}"
     yield Check("frames missing in the source", missing, 0, missing == 0, action)
-    for where in ("facts", "pictures"):
-        name = f"values that are not finite in the {where}"
-        yield Check(name, 0, 0, True, "the job would have stopped there")
 
 
 def picture(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -18,6 +19,7 @@ from arfx.run import analysis, stretches
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import open_inputs
 from arfx.run.parameters import parameters
+from arfx.run.stretches import Span
 from tests.cli.conftest import Material, Run
 from tests.cli.test_process import frames
 from tests.clips import SIZE, clip_camera, write_clip
@@ -197,17 +199,15 @@ def test_an_interrupted_analysis_leaves_the_same_bytes(
             if done == stop:
                 raise KeyboardInterrupt
 
-        done = analysis.analyse_clip(
-            inputs.info,
-            of_plane,
+        found, frames = analysis.analyse_clip(
+            Span(inputs.info),
+            replace(of_plane, progress=progress),
             {"environment"},
-            (None, None),
-            progress,
             JobFolder(job),
             "key",
         )
-        write_facts(tmp_path / "facts.jsonl", done.analysis.facts)
-        return (tmp_path / "facts.jsonl").read_bytes(), done.pts
+        write_facts(tmp_path / "facts.jsonl", found.facts)
+        return (tmp_path / "facts.jsonl").read_bytes(), frames.pts
 
     whole = analysed(tmp_path, None)
     shutil.rmtree(tmp_path / "stretches")

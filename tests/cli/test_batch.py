@@ -213,13 +213,13 @@ def test_a_stopped_batch_says_what_is_done(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def stop(job: Any) -> Any:
+    def stop(job: Any, *more: Any) -> Any:
         if job.inputs.info.path.name == "three.mp4":
             signal.raise_signal(signal.SIGTERM)
-        return chunks_of(job)
+        return render(job, *more)
 
-    chunks_of = job_module._chunks
-    monkeypatch.setattr(job_module, "_chunks", stop)
+    render = job_module._render
+    monkeypatch.setattr(job_module, "_render", stop)
     arguments = command(material, "shots", "-o", "out/{stem}.mp4", "--end", "0.1")
     r = arfx(*arguments)
     assert (
@@ -236,7 +236,7 @@ def test_a_stopped_batch_says_what_is_done(
     assert (tmp_path / "out/one.mp4").exists() and (
         tmp_path / "out/three.mp4.job/seal.json"
     ).exists()
-    monkeypatch.setattr(job_module, "_chunks", chunks_of)
+    monkeypatch.setattr(job_module, "_render", render)
     assert arfx(*arguments).code == 2
     resumed = arfx(*arguments, "--resume", "--json")
     assert resumed.code == 6 and [job["message"] for job in resumed.json["jobs"]][
@@ -291,7 +291,7 @@ def test_what_is_wrong_is_refused_before_any_work(
             "shots/one.mp4 and other/one.mp4 go to one output",
             "{parent}",
         ],
-        ("shots", "-o", "out/{stem}_%04d.png"): ["go to one folder, out"],
+        ("shots", "-o", "out/{stem}_%04d.png"): ["go to one output, out"],
         ("shots", "-o", "out/{clip}.mp4"): ["there is no field {clip}", "{parent}"],
         ("shots", "-o", "shots/{stem}.mp4"): ["shots/one.mp4 is also an input"],
         ("shots", "-o", "out/{stem}.gif"): ["unknown output format '.gif'"],

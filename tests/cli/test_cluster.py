@@ -34,6 +34,7 @@ from arfx.run.lock import locked
 from arfx.run.parameters import parameters
 from arfx.run.planned import Job
 from arfx.run.schedule import find_chunk
+from arfx.run.times import Row
 from arfx.stages.raster import gl_context
 from tests.cli.conftest import FRAMES, Material, Run, at_a_moment
 from tests.cli.farm import Farm, farm
@@ -83,9 +84,7 @@ def rendered(
     def progress(phase: str, done: int, total: int | None) -> None:
         at(done - start)
 
-    files = jobs._render(
-        job, jobs._chunks(job), Options(workers=1, progress=progress), cluster
-    )
+    files = jobs._render(job, Options(workers=1, progress=progress, cluster=cluster))
     return {int(f.name.split("-")[0]): content_digest(f) for f in files}
 
 
@@ -131,8 +130,8 @@ def test_a_running_cluster_gives_the_same_bytes(
 ) -> None:
     with connected(running) as (_, cluster):
         assert rendered(planned, cluster) == serial
-    rows = [r for r in planned.log.rows() if r["work"] == "chunk"][-3:]
-    assert all("worker" in r and "host" in r for r in rows)
+    rows = [r for r in planned.log.rows() if r.work == "chunk"][-3:]
+    assert all(r.worker and r.host for r in rows)
 
 
 def test_a_killed_worker_costs_its_chunk_only(
@@ -314,17 +313,16 @@ def cut_clip(
 @contextlib.contextmanager
 def analysed(
     config: JobConfig, folder: Path, cluster: Any = None
-) -> Iterator[tuple[Job, list[bytes], list[dict[str, Any]]]]:
+) -> Iterator[tuple[Job, list[bytes], list[Row]]]:
     """(the job, what was found, rows of its stretches in timings.jsonl), in a folder that
     is locked.
     """
     job = JobFolder(folder)
     with locked(job.path, "--job"):
         job.open(resume=False)
-        done = plan_job(
-            open_inputs(config), job, Options(notice=lambda _: None), cluster=cluster
-        )
-        rows = [r for r in done.log.rows() if r["work"] == "stretch"]
+        options = Options(notice=lambda _: None, cluster=cluster)
+        done = plan_job(open_inputs(config), job, options)
+        rows = [r for r in done.log.rows() if r.work == "stretch"]
         assert len([*job.stretches.glob("*-*.*")]) == len(rows) == 6
         yield done, [(job.path / name).read_bytes() for name in FACTS], rows
 
@@ -354,11 +352,11 @@ def test_the_analysis_is_done_by_the_workers_too(
             found[0], None
         )
         pids = client.run(os.getpid).values()
-        assert all(row["pid"] in pids and row["worker"] for row in rows)
+        assert all(row.pid in pids and row.worker for row in rows)
         workers = job.log.spent(job.analysis_key, ()).workers
         assert sum(w["stretches"] for w in workers) == 6 and {
             w["name"] for w in workers
-        } == {row["worker"] for row in rows}
+        } == {row.worker for row in rows}
 
 
 def test_a_worker_that_is_killed_with_a_stretch_costs_that_only(
@@ -381,9 +379,7 @@ def test_a_worker_that_is_killed_with_a_stretch_costs_that_only(
 
         monkeypatch.setattr(pool.Pool, "_submit", submit)
         with analysed(cut_clip, tmp_path / "job", cluster) as (_, facts, rows):
-            assert facts == found[1] and os.getpid() not in {
-                row["pid"] for row in rows
-            }
+            assert facts == found[1] and os.getpid() not in {row.pid for row in rows}
 
 
 @pytest.mark.usefixtures("mapped_only")
@@ -422,11 +418,11 @@ def test_stretches_go_through_a_store_with_all_that_they_need(
                 rows,
             ):
                 assert facts == found[1] and os.getpid() not in {
-                    row["pid"] for row in rows
+                    row.pid for row in rows
                 }
         finally:
             hidden.rename(clip.parent / "print.png")
-    assert "stretches.json" in seen and not [*store.rglob("*")], (
+    assert "inputs.json" in seen and not [*store.rglob("*")], (
         "what was put there is gone"
     )
 
@@ -449,7 +445,7 @@ def test_workers_with_another_processor_analyse_nothing(
         connected(running, notice=told.append) as (_, cluster),
         analysed(cut_clip, tmp_path / "job", cluster) as (_, facts, rows),
     ):
-        assert facts == found[1] and {row["pid"] for row in rows} == {os.getpid()}
+        assert facts == found[1] and {row.pid for row in rows} == {os.getpid()}
     assert (
         len(told) == 1
         and "this machine analyses the clip alone" in told[0]
@@ -471,10 +467,10 @@ def test_a_lost_scheduler_ends_in_one_message(
             rendered(planned, cluster, once(own.process.kill))
     assert not capfd.readouterr().err, "Dask has nothing to add"
     assert any(
-        find_chunk(planned.folder.chunks, chunk.name, ".mkv")
-        for chunk in jobs._chunks(planned)
+        find_chunk(planned.folder.chunks, chunk.name(planned.key), ".mkv")
+        for chunk in planned.chunks
     )
-    chunks = jobs._render(planned, jobs._chunks(planned), Options(workers=1), None)
+    chunks = jobs._render(planned, Options(workers=1))
     assert {int(f.name.split("-")[0]): content_digest(f) for f in chunks} == serial
     ended(pids)
 

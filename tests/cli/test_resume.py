@@ -252,5 +252,4 @@ def test_a_line_cut_short_does_not_spoil_the_next(tmp_path: Path) -> None:
     path.write_text('{"work": "chunk", "key": "a", "sec')
     log = WorkLog(path)
     log.note("chunk", "b", {"decode": 1.0})
-    assert [r["key"] for r in log.rows()] == ["b"]
-    assert log.spent("none", ["a", "b"]).untimed == ("a",)
+    assert [row.key for row in log.rows()] == ["b"]

@@ -27,7 +27,6 @@ from tests.fuzz.kills import long_job
 PIECES = (
     "job.toml",
     "inputs.json",
-    "stretches.json",
     "stretches",
     "seal.json",
     "placed.json",

@@ -341,8 +341,8 @@ def analysed(look: Look, path: Path) -> Analysis:
     """The clip's analysis up to the light, as a job does it."""
     asked = look.scene
     markers = tuple(m.spec for m in asked.marker)
-    job = AnalysisJob(markers, World(asked).camera, frames=look.frames)
-    analyser = Observed(job, {"light"})
+    job = AnalysisJob(markers, World(asked).camera)
+    analyser = Observed(job, {"light"}, look.frames)
     with ClipReader(probe(path)) as reader:
         frames = [(f, np.ascontiguousarray(f.luma())) for f in reader.frames()]
     for k, (frame, luma) in enumerate(frames):

@@ -110,8 +110,9 @@ class Pool:
                     for task, result in zip(
                         run, self._result(future, run), strict=True
                     ):
-                        self._collect(Path(task[-1]).with_name(result["file"]))
-                        done += task[3] - task[2] + 1
+                        folder, _, part = task
+                        self._collect(Path(folder) / result["file"])
+                        done += part.frames
                         yield result
                 progress(done)
                 time.sleep(ROUND_S)
@@ -124,7 +125,7 @@ class Pool:
         return self.client.submit(
             remote.work,
             self.job.run,
-            [(first, last, Path(target).name) for _, _, first, last, target in run],
+            [part for _, _, part in run],
             resources={self.job.run: 1},
             pure=False,
         )
@@ -140,7 +141,7 @@ class Pool:
             if type(e).__name__ != "KilledWorker":
                 raise
             raise RenderError(
-                f"frames {run[0][2]}–{run[-1][3]}: too many workers were lost with them,"
+                f"frames {run[0][2].first}–{run[-1][2].last}: too many workers were lost with them,"
                 f" the last at {e.args[1].address}",
                 "out of memory? --resume goes on; as many are allowed as Dask's"
                 " distributed.scheduler.allowed-failures says",

@@ -5,6 +5,7 @@ What it is sent are places, digests and numbers of frames; what it returns are n
 times."""
 
 import asyncio
+import contextlib
 import os
 import shutil
 import socket
@@ -29,8 +30,9 @@ from arfx.run.cluster.files import Bundle, Store, find
 from arfx.run.cluster.spec import is_url
 from arfx.run.executors import Work
 from arfx.run.folder import JobFolder
-from arfx.run.stretches import analyse_stretch, listed
-from arfx.run.worker import Paths, render_chunk
+from arfx.run.schedule import FrameRange
+from arfx.run.stretches import analyse_stretch
+from arfx.run.worker import Paths, WorkerInputs, render_chunk
 
 
 @dataclass(frozen=True)
@@ -125,44 +127,33 @@ def _folder(job: JobReference, paths: Paths, scratch: str) -> _Placed:
             folder = store.get_job(Path(copy), job.rendering)
         if not folder.path.is_dir():
             reasons.append(f"job folder {there}: no such folder")
-        elif folder.sealed(job.key) if job.rendering else listed(folder, job.key):
+        elif folder.sealed(job.key) if job.rendering else _analyses(folder, job.key):
             return _Placed(job, folder, paths, store)
         else:
             reasons.append(f"{there} holds another job")
     raise RenderError("; ".join(reasons))
 
 
-def work(run: str, tasks: Sequence[tuple[int, int, str]]) -> list[dict[str, Any]]:
-    """Do tasks (first and last frame, name of the file) of the job that was placed here,
-    as `render_chunk` or `analyse_stretch` does."""
-    return [_work(_placed[run], *task) for task in tasks]
+def _analyses(folder: JobFolder, key: str) -> bool:
+    with contextlib.suppress(OSError, ValueError):
+        return WorkerInputs.read(folder).key == key
+    return False
 
 
-def _work(placed: _Placed, first: int, last: int, name: str) -> dict[str, Any]:
+def work(run: str, parts: Sequence[FrameRange]) -> list[dict[str, Any]]:
+    """Do parts of the job that was placed here, as `render_chunk` or `analyse_stretch` does."""
+    return [_work(_placed[run], part) for part in parts]
+
+
+def _work(placed: _Placed, part: FrameRange) -> dict[str, Any]:
     from distributed import get_worker
 
-    worker, job, folder, store = (
-        get_worker().name,
-        placed.job,
-        placed.folder,
-        placed.store,
-    )
-    do: Work = render_chunk
-    target = folder.chunks / name
-    if not job.rendering:
-        do, target = analyse_stretch, folder.stretches / name
+    worker, job, folder = get_worker().name, placed.job, placed.folder
+    do: Work = render_chunk if job.rendering else analyse_stretch
     try:
-        result = do(
-            str(folder.path),
-            job.key,
-            first,
-            last,
-            str(target),
-            lambda: None,
-            paths=placed.paths,
-        )
-        if store is not None:
-            _hand_over(store, folder, target.with_name(result["file"]), result)
+        result = do(str(folder.path), job.key, part, lambda: None, paths=placed.paths)
+        if placed.store is not None:
+            _hand_over(placed.store, folder, part, folder.path / result["file"])
         return {**result, "worker": str(worker)}
     except ArfxError as e:
         failed = type(e)(
@@ -172,11 +163,9 @@ def _work(placed: _Placed, first: int, last: int, name: str) -> dict[str, Any]:
     raise failed
 
 
-def _hand_over(
-    store: Store, folder: JobFolder, file: Path, result: dict[str, Any]
-) -> None:
+def _hand_over(store: Store, folder: JobFolder, part: FrameRange, file: Path) -> None:
     """A chunk's previews, then the file, into the store."""
-    for index in range(result["first"], result["last"] + 1):
+    for index in range(part.first, part.last + 1):
         for path in folder.previews.glob(f"{index:06d}.*"):
             store.put(path, f"previews/{path.name}")
             path.unlink()

@@ -15,8 +15,7 @@ from arfx.papers.s4_environment import step3_mipmap
 from arfx.papers.s4_gi import PrintedGiParams, Surfels, wide_cones
 from arfx.papers.s4_volumes import octree_of
 from arfx.papers.s4_voxels import Volume
-from arfx.run.parameters import stage_of
-from arfx.run.predict import without_level
+from arfx.run.parameters import quality_notices, stage_of
 from arfx.stages.gi import GiParams
 from tests.unit.stages import gi_scenes
 from tests.unit.stages.gi_scenes import (
@@ -229,9 +228,8 @@ def test_a_quality_that_the_paper_does_not_have_is_said() -> None:
         name: stage_of(name, params)
         for name, params in (("gi", PrintedGiParams()), ("lightmap", None))
     }
-    assert without_level(stages, "standard") == ""
-    assert (
-        without_level(stages, "reference")
-        == "--quality reference: gi as printed, which has one level, standard"
-    )
-    assert without_level({"gi": stage_of("gi", GiParams())}, "reference") == ""
+    assert not quality_notices("standard", stages)
+    assert quality_notices("reference", stages) == [
+        "--quality reference: gi as printed, which has one level, standard"
+    ]
+    assert not quality_notices("reference", {"gi": stage_of("gi", GiParams())})

@@ -14,16 +14,19 @@ import av
 import numpy as np
 import pytest
 
-from arfx.analyse.job import AnalysisJob
+from arfx.analyse.job import Analysis, AnalysisJob
 from arfx.analyse.tables import from_bytes, to_bytes
 from arfx.core.facts import write_facts
 from arfx.media.clip import probe
 from arfx.run import stretches
-from arfx.run.analysis import AnalysisPass, analyse_clip
+from arfx.run.analysis import analyse_clip
 from arfx.run.folder import JobFolder
+from arfx.run.planned import DecodedFrames
+from arfx.run.stretches import Span
 from tests.clips import MARKER, clip_camera, write_clip
 
 FRAMES = 40
+Analysed = tuple[Analysis, DecodedFrames]
 
 
 @pytest.fixture(autouse=True)
@@ -77,7 +80,7 @@ def analysed(
     job: Path,
     stop: int | None = None,
     folds: frozenset[str] = frozenset(),
-) -> AnalysisPass:
+) -> Analysed:
     """Raises KeyboardInterrupt at frame `stop`."""
 
     def progress(phase: str, done: int, total: int | None) -> None:
@@ -86,20 +89,19 @@ def analysed(
 
     job.mkdir(exist_ok=True)
     return analyse_clip(
-        probe(clip),
-        AnalysisJob((MARKER,), clip_camera()),
+        Span(probe(clip)),
+        AnalysisJob((MARKER,), clip_camera(), progress=progress),
         {"light", *folds},
-        (None, None),
-        progress,
         JobFolder(job),
         "key",
     )
 
 
-def written(done: AnalysisPass, path: Path) -> tuple[Any, ...]:
-    write_facts(path, done.analysis.facts)
-    about = replace(done.analysis, facts=())
-    return path.read_bytes(), about, done.pts, done.keys, done.truncated
+def written(done: Analysed, path: Path) -> tuple[Any, ...]:
+    analysis, frames = done
+    write_facts(path, analysis.facts)
+    about = replace(analysis, facts=())
+    return path.read_bytes(), about, frames.pts, frames.truncated
 
 
 ASKED: frozenset[str] = frozenset({"environment", "lens"})
@@ -125,7 +127,7 @@ def test_an_interrupted_analysis_leaves_the_same_bytes(
         analysed(clip, tmp_path / "whole", None, folds), tmp_path / "whole.jsonl"
     )
     assert len(whole[2]) > 0.9 * FRAMES and (make is cut_short) == (
-        whole[4] is not None
+        whole[3] is not None
     )
     for stop in stops:  # one job, interrupted again and again
         with pytest.raises(KeyboardInterrupt):

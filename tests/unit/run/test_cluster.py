@@ -20,6 +20,7 @@ import pytest
 from arfx.core.machine import usable_cores
 from arfx.errors import ConfigError, InputError, RenderError
 from arfx.media.frames import FrameTimesError
+from arfx.run import schedule
 from arfx.run.cluster import remote
 from arfx.run.cluster.files import Bundle, Part, find
 from arfx.run.cluster.spec import ClusterSpec, PathMap, places
@@ -279,7 +280,7 @@ def test_the_time_of_each_worker(tmp_path: Path) -> None:
         )
     log.note(ANALYSIS, "facts", {"analyse": 0.5}, stretches=["s"])
     spent = log.spent("facts", "abc")
-    assert spent.workers == (
+    assert spent.workers == [
         {
             "name": "2",
             "host": "h",
@@ -296,7 +297,7 @@ def test_the_time_of_each_worker(tmp_path: Path) -> None:
             "frames": 36,
             "seconds": 6.0,
         },
-    )
+    ]
     assert spent.seconds["analyse"] == 4.5
     log.note(ANALYSIS, "facts", {"analyse": 5.0}, stretches=[["s"]])  # damaged
     assert log.spent("facts", "abc").seconds["analyse"] == 4.5
@@ -328,7 +329,7 @@ def test_a_full_disk_on_a_worker_ends_the_job_with_its_own_error(
         remote._placed, "run", remote._Placed(reference(), JobFolder(tmp_path), ())
     )
     with pytest.raises(RenderError, match="No space left on device") as raised:
-        remote.work("run", [(0, 29, "name")])
+        remote.work("run", [schedule.FrameRange(0, 29)])
     sent = error_message(raised.value)
     arrived = clean_exception(pickle.loads(sent["exception"].data))[1]
     assert (
@@ -354,4 +355,4 @@ def test_what_ends_a_stretch_says_the_same_from_a_worker(
         remote._Placed(reference(STRETCH), JobFolder(tmp_path), ()),
     )
     with pytest.raises(FrameTimesError, match=r"backwards \(on worker w"):
-        remote.work("run", [(0, 29, "name")])
+        remote.work("run", [schedule.FrameRange(0, 29)])

@@ -179,18 +179,14 @@ def test_pictures_with_guessed_parts_are_the_same_for_all(
     data[middle.pos + 40 : middle.pos + middle.size] = bytes(middle.size - 40)
     clip.write_bytes(data)
     for k, run in enumerate((shuffled, threads(2))):
-        found = analysed(clip, tmp_path / f"{k}", run)
+        _, found = analysed(clip, tmp_path / f"{k}", run)
         assert found.damaged and found.careful and not found.truncated
     info = probe(clip)
     with ClipReader(info, careful=True) as reader:
         every = {f.pts: f.luma().copy() for f in reader.frames()}
     for index, pts in enumerate(found.pts[40:60], 40):
-        frame = job_frame(info, found.pts, index, True, found.careful)
-        assert (
-            frame is not None
-            and frame.pts == pts
-            and np.array_equal(frame.luma(), every[pts])
-        )
+        frame = job_frame(info, found, index, True)
+        assert frame.pts == pts and np.array_equal(frame.luma(), every[pts])
     release()
 
 
@@ -201,7 +197,7 @@ def test_a_clip_that_ends_in_damage_is_still_said_to_be_cut(
     (tmp_path / "cut.ts").write_bytes(
         data[: len(data) * 6 // 10 // PACKET * PACKET + 100]
     )
-    found = analysed(tmp_path / "cut.ts", tmp_path / "job")
+    _, found = analysed(tmp_path / "cut.ts", tmp_path / "job")
     assert found.careful and 40 < len(found.pts) < 70 and found.missing == []
     clip = make_clip(
         tmp_path / "a.mp4", [512 * i for i in range(30)], options={"g": "1"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import multiprocessing
 import os
@@ -23,7 +24,7 @@ from arfx.run import executors, job
 from arfx.run.executors import Processes, Task
 from arfx.run.folder import JobFolder
 from arfx.run.job import Options
-from arfx.run.schedule import Chunk
+from arfx.run.schedule import FrameRange
 from tests.scenes import scene
 
 pytestmark = pytest.mark.process
@@ -86,7 +87,7 @@ def ended(pids: set[int]) -> bool:
 def test_the_same_processes_work_again_and_end_with_the_job(tmp_path: Path) -> None:
     """Red with processes of its own for each part of a job."""
     before, told = dict(os.environ), list[int]()
-    with Processes() as processes:
+    with contextlib.closing(Processes()) as processes:
         results = list(processes.run(tasks(tmp_path), 2, told.append, tell))
         again = list(processes.run(tasks(tmp_path, 5), 2, told.append, tell))
         pids = {r["pid"] for r in results}
@@ -108,12 +109,6 @@ def test_the_same_processes_work_again_and_end_with_the_job(tmp_path: Path) -> N
         )
 
 
-def test_nothing_but_with_keeps_processes(tmp_path: Path) -> None:
-    assert ended(
-        {r["pid"] for r in Processes().run(tasks(tmp_path), 2, lambda _: None, tell)}
-    )
-
-
 @pytest.mark.parametrize(
     ("last", "message"), [(1, "a stage failed"), (2, "a worker process was killed")]
 )
@@ -122,7 +117,7 @@ def test_an_error_in_one_process_stops_all(
 ) -> None:
     given = [(str(tmp_path), "key", k, last, "target") for k in range(2)]
     with (
-        Processes() as processes,
+        contextlib.closing(Processes()) as processes,
         pytest.raises(RenderError, match=message) as raised,
     ):
         list(processes.run(given, 2, lambda _: None, fail))
@@ -140,7 +135,7 @@ def test_an_error_beside_the_workers_stops_them(
 
     def run(*_: Any, **__: Any) -> Iterator[dict[str, Any]]:
         try:
-            yield {"first": 0, "file": "x", "seconds": {}}
+            yield {"first": 0, "key": "a", "file": "x", "seconds": {}}
         finally:
             stopped.append(True)
 
@@ -149,7 +144,7 @@ def test_an_error_beside_the_workers_stops_them(
 
     monkeypatch.setattr(job, "chunk_suffix", lambda _: ".nut")
     planned: Any = SimpleNamespace(
-        folder=JobFolder(tmp_path), inputs=SimpleNamespace(output=None, camera=scene().camera), facts=[], key="", log=SimpleNamespace(note=full),
+        folder=JobFolder(tmp_path), inputs=SimpleNamespace(output=None, camera=scene().camera), facts=[], key="", chunks=[FrameRange(0, 1), FrameRange(2, 3)], log=SimpleNamespace(note=full),
     )  # fmt: skip
     processes: Any = SimpleNamespace(run=run)
     with pytest.raises(
@@ -157,7 +152,6 @@ def test_an_error_beside_the_workers_stops_them(
     ) as kept:  # holds the traceback, and with it the generator
         job._render(
             planned,
-            [Chunk(0, 1, "a"), Chunk(2, 3, "b")],
             Options(workers=2, processes=processes),
         )
     assert stopped and kept

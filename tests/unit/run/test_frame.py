@@ -16,7 +16,7 @@ from arfx.core.stage import ReadyStage, Stage
 from arfx.errors import RenderError
 from arfx.plan.planner import plan_frame
 from arfx.run.frame import FrameLayers, ready_stages, run_frame
-from arfx.run.schedule import borders
+from arfx.run.schedule import chunks_of
 from arfx.stages.composite import Composite
 from tests.scenes import facts, layers_of, scene
 from tests.unit.media.test_frame import frame, samples
@@ -256,7 +256,7 @@ def test_what_a_stage_asks_of_a_frame_without_a_pose_is_an_error_that_names_the_
 
 @pytest.mark.parametrize("frames", [1, 29, 30, 31, 159, 240, 960, 961, 5000])
 def test_chunk_borders_cover_every_frame_once(frames: int) -> None:
-    parts = borders(frames)
+    parts = [(c.first, c.last) for c in chunks_of(frames)]
     assert parts[0][0] == 0 and parts[-1][1] == frames - 1
     assert all(a[1] + 1 == b[0] for a, b in itertools.pairwise(parts))
     assert max(b - a + 1 for a, b in parts) <= 120

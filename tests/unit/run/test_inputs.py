@@ -13,7 +13,12 @@ from arfx.core.pose import Pose
 from arfx.errors import ConfigError, InputError
 from arfx.run.folder import digest
 from arfx.run.inputs import job_model, marker_map, open_inputs, placement
-from arfx.run.parameters import parameters, pipeline, quality_notices
+from arfx.run.parameters import (
+    make_stages,
+    parameters,
+    pipeline,
+    quality_notices,
+)
 from arfx.stages.raster.backends import BACKENDS, Backend
 from tests.clips import MARKER, write_camera, write_clip
 
@@ -270,4 +275,4 @@ def test_high_is_said_to_be_standard_where_no_effect_has_it(
     config = load(
         None, {"input": {"clip": "clip.mp4"}, "pipeline": pipeline}, parameters()
     )
-    assert len(quality_notices(config)) == notices
+    assert len(quality_notices("high", make_stages(config))) == notices

@@ -10,6 +10,7 @@ import pytest
 
 import arfx.run.predict as predict_module
 from arfx.config.sections import JobConfig
+from arfx.core.compiled import work_clock
 from arfx.core.cost import Price, Prices, measured
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
@@ -30,10 +31,10 @@ SIZE = JobSize(
     frames=120,
     frame_mpx=0.1,
     decode_s=1.2,
-    before_s=2.0,
+    began=5.0,
     codec="h264",
     workers=2,
-    processes=0,
+    threads=True,
     mfaces=0.0,
     checked=frozenset(),
 )
@@ -106,12 +107,9 @@ def test_what_planning_takes_is_in_the_prediction(monkeypatch) -> None:
     clock = [7.0]
     monkeypatch.setattr(predict_module, "plan_clip", slow)
     monkeypatch.setattr("time.perf_counter", lambda: clock[0])
-    made = choose(
-        JobConfig(), {}, [], None, LevelPolicy(), Errors({}, ""), PRICES, SIZE, print
-    )[1]  # type: ignore[arg-type]
-    assert made["predicted"]["phases"]["before"]["s"] == pytest.approx(
-        SIZE.before_s + 0.5
-    )
+    size = SIZE._replace(began=work_clock() - 2)
+    made = choose(JobConfig(), {}, [], None, LevelPolicy(), Errors({}, ""), PRICES, size)[1]  # type: ignore[arg-type]
+    assert made["predicted"]["phases"]["before"]["s"] == pytest.approx(2.5)
 
 
 def test_a_lone_worker_encodes_while_it_renders() -> None:

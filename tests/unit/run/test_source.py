@@ -20,6 +20,7 @@ from arfx.run import executors
 from arfx.run import source as source_module
 from arfx.run.folder import JobFolder
 from arfx.run.job import _interruptible
+from arfx.run.planned import DecodedFrames
 from arfx.run.source import (
     clip_frames,
     frames_kept,
@@ -61,17 +62,15 @@ def times_of(info: ClipInfo) -> list[int]:
         return [f.pts for f in reader.frames()]
 
 
-def frame_of(info: ClipInfo, pts: list[int], index: int) -> Frame | None:
-    return job_frame(info, pts, index, alone=True, careful=False)
+def frame_of(info: ClipInfo, pts: list[int], index: int) -> Frame:
+    return job_frame(info, DecodedFrames(pts, None, False, [], False), index, True)
 
 
 def test_a_source_gives_the_frames_of_the_job_and_skips_others(clip: Path) -> None:
     info = probe(clip)
     wanted = times_of(info)[3::2]
     got = [frame_of(info, wanted, index) for index in range(1, len(wanted))]
-    assert [(f.index, f.pts) for f in got if f is not None] == [
-        *enumerate(wanted[1:], 1)
-    ]
+    assert [(f.index, f.pts) for f in got] == [*enumerate(wanted[1:], 1)]
 
 
 def test_a_frame_that_is_not_there_is_told(clip: Path) -> None:
@@ -79,7 +78,9 @@ def test_a_frame_that_is_not_there_is_told(clip: Path) -> None:
     pts = times_of(info)
     wanted = [pts[0], pts[1] + 1, pts[3]]
     assert frame_of(info, wanted, 0) is not None
-    assert frame_of(info, wanted, 1) is None and frame_of(info, wanted, 1) is None
+    for _ in range(2):
+        with pytest.raises(RenderError, match="frame 1 could not be decoded again"):
+            frame_of(info, wanted, 1)
 
 
 def test_the_next_chunk_reads_on_and_any_other_starts_anew(
@@ -89,7 +90,7 @@ def test_the_next_chunk_reads_on_and_any_other_starts_anew(
     pts = times_of(info)
     for index, readers in ((0, 1), (1, 1), (2, 1), (10, 2), (11, 2), (5, 3)):
         frame = frame_of(info, pts, index)
-        assert frame is not None and frame.pts == pts[index]
+        assert frame.pts == pts[index]
         assert len(opened) == 1 + readers
 
 
@@ -134,7 +135,7 @@ def test_threads_render_every_chunk_once_in_stretches() -> None:
         return {"first": first}
 
     told: list[int] = []
-    results = list(executors.run_threads(fake_tasks(12), 2, told.append, render))
+    results = list(executors.run_threads(fake_tasks(12), [render] * 2, told.append))
     assert sorted(r["first"] for r in results) == list(range(12))
     quick = next(o for o in order.values() if o[0] == 6)
     assert quick[:6] == [6, 7, 8, 9, 10, 11], "a thread leaves its stretch"
@@ -162,7 +163,7 @@ def test_a_failing_chunk_stops_all_threads() -> None:
         return {"first": first}
 
     with pytest.raises(RenderError):
-        list(executors.run_threads(fake_tasks(8), 2, lambda n: None, render))
+        list(executors.run_threads(fake_tasks(8), [render] * 2, lambda n: None))
     assert not ended
 
 
@@ -197,7 +198,7 @@ def test_frames_of_a_short_clip_are_decoded_once(
             opened.clear()
             for k, frame in enumerate(analysed):
                 again = frame_of(info, [f.pts for f in analysed], k)
-                assert again is not None and (again.index, again.pts) == (
+                assert (again.index, again.pts) == (
                     k,
                     frame.pts,
                 )
@@ -217,4 +218,4 @@ def test_a_frame_that_was_analysed_is_decoded_again_when_it_is_rendered_twice(
             pts.append(frame.pts)
         for _ in range(2):
             got = [frame_of(info, pts, index) for index in range(4, 7)]
-            assert [f.pts for f in got if f] == pts[4:7]
+            assert [f.pts for f in got] == pts[4:7]

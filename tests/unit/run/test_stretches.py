@@ -4,6 +4,7 @@ order.
 
 from __future__ import annotations
 
+import contextlib
 import random
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
@@ -19,7 +20,7 @@ from arfx.config.load import load
 from arfx.media.clip import probe
 from arfx.media.frames import ClipReader
 from arfx.run import stretches
-from arfx.run.analysis import AnalysisPass, Run, analyse_clip, in_order
+from arfx.run.analysis import Run, analyse_clip, in_order
 from arfx.run.executors import Results, Task, run_serial, run_threads
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import open_inputs
@@ -34,7 +35,7 @@ from tests.clips import (
     write_camera,
     write_model,
 )
-from tests.unit.run.test_analysis import written
+from tests.unit.run.test_analysis import Analysed, written
 
 FRAMES, KEYS, LEAST = 48, 12, 10
 Make = Callable[[Path], Path]
@@ -138,7 +139,7 @@ def shuffled(
 
 def threads(workers: int) -> Run:
     return lambda tasks, frames, progress: run_threads(
-        tasks, workers, progress, analyse_stretch
+        tasks, [analyse_stretch] * workers, progress
     )
 
 
@@ -148,15 +149,13 @@ def analysed(
     run: Run = in_order,
     folds: tuple[str, ...] = (),
     **more: Any,
-) -> AnalysisPass:
+) -> Analysed:
     job.mkdir(exist_ok=True)
     asked = AnalysisJob((MARKER,), clip_camera(), **more)
     return analyse_clip(
-        probe(clip),
+        Span(probe(clip)),
         asked,
         {"light", *folds},
-        (None, None),
-        lambda *_: None,
         JobFolder(job),
         "key",
         run=run,
@@ -253,11 +252,11 @@ def test_processes_leave_the_same_bytes(clip_of: ClipOf, tmp_path: Path) -> None
         folder = JobFolder(tmp_path / f"{workers}")
         folder.path.mkdir()
         folder.open(resume=False)
-        rows = plan_job(
-            inputs, folder, Options(workers=workers, notice=lambda _: None)
-        ).log.rows()
+        options = Options(workers=workers, notice=lambda _: None)
+        with contextlib.closing(options.processes):
+            rows = plan_job(inputs, folder, options).log.rows()
         facts.append(folder.facts.read_bytes())
-        made_by = {row["pid"] for row in rows if row["work"] == "stretch"}
+        made_by = {row.worker for row in rows if row.work == "stretch"}
     assert facts[0] == facts[1] and len(made_by) == 2
 
 
@@ -266,9 +265,9 @@ def test_borders_do_not_show_in_the_facts(
 ) -> None:
     """One track and one path across them; a cut that lies on one is a cut."""
     clip = encoded(tmp_path / "cut.mp4", "libx264", x264("open-gop=0"), cut_at=24)
-    parts = analysed(clip, tmp_path / "parts").analysis
+    parts = analysed(clip, tmp_path / "parts")[0]
     monkeypatch.setattr(stretches, "LEAST_FRAMES", 1000)
-    one = analysed(clip, tmp_path / "one").analysis
+    one = analysed(clip, tmp_path / "one")[0]
     assert len([*(tmp_path / "one" / "stretches").iterdir()]) == 1
     assert (
         [f.shot for f in parts.facts]
@@ -362,13 +361,13 @@ def test_a_span_is_cut_within(clip_of: ClipOf) -> None:
         parts = cut(span, reader.times())
     assert (
         parts.before == every.index(pts[0])
-        and parts.frames == len(pts)
+        and parts.parts[0].of == len(pts)
         and parts.parts[0].begins == pts[0]
     )
     assert [pts[p.first] for p in parts.parts] == [
         p.begins for p in parts.parts
     ] and len(parts.parts) > 1
     assert (
-        whole(span).parts == (Stretch(0, FRAMES - 1, None, None),)
+        whole(span).parts == (Stretch(0, FRAMES - 1, None, None, FRAMES, True),)
         or whole(span).parts[0].begins is None
     )
