@@ -1,4 +1,5 @@
-"""Vectors of three numbers in compiled loops: tuples, or rows of arrays."""
+"""Vectors of three numbers in compiled loops, tuples or rows of arrays, and values between
+others."""
 
 # mypy: disable-error-code="no-untyped-def"
 import numpy as np
@@ -65,3 +66,13 @@ def placed(matrix, a):  # pragma: no cover - compiled
     """matrix (3, 4 or more) @ (a, 1), of the first four columns"""
     x, y, z = turned(matrix, a)
     return x + matrix[0, 3], y + matrix[1, 3], z + matrix[2, 3]
+
+
+@line_kernel(fastmath=FAST)
+def between_rows(flat, first, row, channel, fu, fv):  # pragma: no cover - compiled
+    """One channel of values (n, c) between one, the next one, and those `row` on; fu, fv : 0..1"""
+    right, below = first + np.uintp(1), first + row
+    across = below + np.uintp(1)
+    low = flat[first, channel] + fu * (flat[right, channel] - flat[first, channel])
+    high = flat[below, channel] + fu * (flat[across, channel] - flat[below, channel])
+    return low + fv * (high - low)

@@ -105,24 +105,19 @@ def _edges(vertices: ndarray, faces: ndarray) -> ndarray:
     grid = np.round(divide(vertices - low, _WELD_DISTANCE * size))
     first, vertex = same_rows(grid)
     at = first[vertex[faces]]
-    run = np.concatenate([at[:, [0, 1]], at[:, [1, 2]], at[:, [2, 0]]])
-    face = np.tile(np.arange(len(faces)), 3)
-    keep = run[:, 0] != run[:, 1]
-    run, face = run[keep], face[keep]
-    way = np.where(run[:, 0] < run[:, 1], 1, -1)
-    run = np.sort(run, 1)
-    order = np.lexsort((way, run[:, 1], run[:, 0]))
-    run, face, way = run[order], face[order], way[order]
-    new = np.r_[True, (run[1:] != run[:-1]).any(1)]
-    start = np.flatnonzero(new)
-    rank = np.arange(len(run)) - np.repeat(start, np.diff(np.r_[start, len(run)]))
+    run = np.stack([at, np.roll(at, -1, 1)]).T.reshape(-1, 2)
+    way = np.sign(run[:, 1] - run[:, 0])
+    _, edge = same_rows(np.sort(run, 1))
+    order = np.lexsort((way, edge))
+    run, way, edge, face = run[order], way[order], edge[order], order % len(faces)
+    rank = np.arange(len(edge)) - np.searchsorted(edge, edge)
     one = np.flatnonzero(rank % 2 == 0)
-    paired = np.r_[rank[1:], 0][one] % 2 == 1
-    two = np.where(paired, np.minimum(one + 1, len(run) - 1), one)
-    ends = np.where(way[one, None] > 0, run[one], run[one, ::-1])
-    return np.column_stack(
-        [ends, face[one], np.where(paired, face[two], -1), way[one] * way[two]]
-    ).astype(np.int32)
+    paired = np.r_[rank, 0][one + 1] % 2
+    two = one + paired
+    other = np.where(paired, face[two], -1)
+    return np.column_stack([run[one], face[one], other, way[one] * way[two]]).astype(
+        np.int32
+    )
 
 
 def _outline(points: ndarray) -> ndarray:

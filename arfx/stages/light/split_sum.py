@@ -14,6 +14,7 @@ import numpy as np
 from numpy import ndarray
 
 from arfx.core.compiled import FAST, line_kernel
+from arfx.core.vectors import between_rows
 
 ROUGHNESSES, COSINES = 16, 32  # entries of the table
 _MICROFACETS = 512
@@ -62,18 +63,12 @@ def table_entry(table, roughness, cosine):  # pragma: no cover - compiled
     between its entries.
     """
     one, zero = np.float32(1), np.float32(0)
-    s = min(max(roughness, zero), one) * np.float32(table.shape[0] - 1)
-    t = min(max(cosine, zero), one) * np.float32(table.shape[1] - 1)
-    i, j = (
-        np.uintp(min(int(s), table.shape[0] - 2)),
-        np.uintp(min(int(t), table.shape[1] - 2)),
-    )
-    fs, ft = s - np.float32(i), t - np.float32(j)
-    below, right = i + np.uintp(1), j + np.uintp(1)
-    w00, w01 = (one - fs) * (one - ft), (one - fs) * ft
-    w10, w11 = fs * (one - ft), fs * ft
-    a = w00 * table[i, j, 0] + w01 * table[i, right, 0]
-    a += w10 * table[below, j, 0] + w11 * table[below, right, 0]
-    b = w00 * table[i, j, 1] + w01 * table[i, right, 1]
-    b += w10 * table[below, j, 1] + w11 * table[below, right, 1]
-    return a, b
+    rows, columns = table.shape[:2]
+    s = min(max(roughness, zero), one) * np.float32(rows - 1)
+    t = min(max(cosine, zero), one) * np.float32(columns - 1)
+    i, j = min(int(s), rows - 2), min(int(t), columns - 2)
+    down, right = s - np.float32(i), t - np.float32(j)
+    flat, line = table.reshape(-1, 2), np.uintp(columns)
+    first = np.uintp(i) * line + np.uintp(j)
+    a = between_rows(flat, first, line, 0, right, down)
+    return a, between_rows(flat, first, line, 1, right, down)

@@ -22,6 +22,7 @@ from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.rect import Rect
 from arfx.core.scene_mesh import SceneMesh
 from arfx.stages.raster.record import NearestFaces, View
+from arfx.stages.triangles import span, vertices_of
 
 _SAMPLE_PX = 0.501  # samples lie this far from their pixel's centre
 # The picture of a straight edge bows by at most length^2 / 8 x the lens's curvature.
@@ -88,12 +89,6 @@ class RayFaces:
 
 
 @kernel(inline="always")
-def vertices_of(faces, f):  # pragma: no cover - compiled
-    """Numbers of the three vertices of a face."""
-    return np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
-
-
-@kernel(inline="always")
 def _point(points, i):  # pragma: no cover - compiled
     return points[i, 0], points[i, 1], points[i, 2]
 
@@ -117,13 +112,6 @@ def planes_of(points, i, j, k):  # pragma: no cover - compiled
 
 
 @kernel(inline="always")
-def _span(low, high, pad, most):  # pragma: no cover - compiled
-    """Half-open range of the pixels, 0 to `most`, from low - pad to high + pad."""
-    first = min(max(np.ceil(low - pad), 0.0), most)
-    return np.uintp(first), np.uintp(min(max(np.floor(high + pad) + 1, first), most))
-
-
-@kernel(inline="always")
 def _met(projection, f, height, width):  # pragma: no cover - compiled
     """Planes of a face, and spans of columns and rows of the pixels that it may cover: none where
     it is not seen, all where a corner has no picture."""
@@ -143,8 +131,8 @@ def _met(projection, f, height, width):  # pragma: no cover - compiled
     if not np.isfinite(pixels[i, 0] + pixels[j, 0] + pixels[k, 0] + pad):
         low_x, low_y, high_x, high_y, pad = 0.0, 0.0, width, height, 0.0
     columns, rows = (
-        _span(low_x, high_x, pad, width),
-        _span(low_y, high_y, pad, height),
+        span(low_x, high_x, pad, width),
+        span(low_y, high_y, pad, height),
     )
     return planes, columns, rows
 
