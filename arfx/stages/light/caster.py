@@ -12,6 +12,7 @@ from numpy import ndarray
 from arfx.core.numerics import arccos, divide, normalise, same_rows
 from arfx.core.sampling import sphere
 from arfx.core.scene import Scene
+from arfx.core.scene_mesh import across
 from arfx.stages.triangles import anchor_mesh
 
 _SUNK = 1e-6  # of the extent: what lies less than this below the plane is rounding
@@ -76,7 +77,6 @@ def make_caster(scene: Scene) -> Caster:
         over, over_faces, _ = slice_faces_plane(vertices, every, up, np.zeros(3))
         over[:, 2] = np.maximum(over[:, 2], 0)
         over_faces = over_faces.astype(np.int32)
-    a, b, c = (over[over_faces[:, i]] for i in range(3))
     top = float(over[:, 2].max(initial=0.0))
     sag, slope = _faceting(vertices, every, mesh.normals, extent)
     return Caster(
@@ -85,7 +85,7 @@ def make_caster(scene: Scene) -> Caster:
         over.astype(np.float32),
         over_faces,
         _edges(over, over_faces),
-        np.cross(b - a, c - a).T.astype(np.float32),
+        across(over[over_faces]).T.astype(np.float32),
         _outline(over[np.unique(over_faces)]),
         extent,
         max(top, 0.0),
@@ -153,15 +153,13 @@ def _faceting(
     """95 % of the facets lie less than this below their smooth surface (metres), and lean
     from it by less than this slope.
     """
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    face = normalise(np.cross(b - a, c - a))
+    corners = vertices[faces]
+    face = normalise(across(corners))
     cosine = np.abs((normals[faces] * face[:, None]).sum(-1)).min(1)
     angle = np.minimum(arccos(cosine), np.radians(45))
-    side = np.linalg.norm([a - b, b - c, c - a], axis=2).max(0)
+    side = np.linalg.norm(corners - np.roll(corners, 1, 1), axis=2).max(1)
     # a chord of length L that leans by the angle from the arc's tangent at its end lies L /
     # 2 tan(angle / 2) below the arc
-    sag = (
-        float(np.quantile(side / 2 * np.tan(angle / 2), 0.95)) if len(faces) else 0.0
-    )
-    slope = float(np.quantile(np.tan(angle), 0.95)) if len(faces) else 0.0
+    sags, slopes = side / 2 * np.tan(angle / 2), np.tan(angle)
+    sag, slope = (float(np.quantile(values, 0.95)) for values in (sags, slopes))
     return min(sag, _COARSEST_SAG * extent), slope

@@ -156,14 +156,14 @@ def look_up(texels, sides, starts, level, direction):  # pragma: no cover - comp
     x, y, z = direction
     ax, ay, az = abs(x), abs(y), abs(z)
     if ax >= ay and ax >= az:
-        s = one / max(ax, _F(1e-20))
-        face, u, v = 0 if x > zero else 1, -z * s, y * s
+        face, along, u, v = 0, x, -z, y
     elif ay >= az:
-        s = one / max(ay, _F(1e-20))
-        face, u, v = 2 if y > zero else 3, x * s, -z * s
+        face, along, u, v = 2, y, x, -z
     else:
-        s = one / max(az, _F(1e-20))
-        face, u, v = 4 if z > zero else 5, x * s, y * s
+        face, along, u, v = 4, z, x, y
+    face += along <= zero
+    inverse = one / max(abs(along), _F(1e-20))
+    u, v = u * inverse, v * inverse
     last = _F(sides.shape[0] - 1)
     level = min(max(level, zero), last)
     first = min(int(level), sides.shape[0] - 2)

@@ -21,6 +21,7 @@ from arfx.core.compiled import kernel
 from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.rect import Rect
 from arfx.core.scene_mesh import SceneMesh
+from arfx.core.vectors import dot
 from arfx.stages.raster.record import NearestFaces, View
 from arfx.stages.triangles import span, vertices_of
 
@@ -197,10 +198,9 @@ def depths_along(points, faces, face, x, y):  # pragma: no cover - compiled
     depth = np.full(len(face), np.inf, np.float32)
     for n in range(len(face)):
         if face[n] >= 0:
-            f = np.uintp(face[n])
-            i, j, k = vertices_of(faces, f)
+            i, j, k = vertices_of(faces, np.uintp(face[n]))
             a, b, c, volume = planes_of(points, i, j, k)
-            total_x, total_y = a[0] + b[0] + c[0], a[1] + b[1] + c[1]
-            z = volume / (total_x * x[n] + total_y * y[n] + a[2] + b[2] + c[2])
+            along = x[n], y[n], 1.0
+            z = volume / (dot(a, along) + dot(b, along) + dot(c, along))
             depth[n] = z if z > 0 else np.inf
     return depth
