@@ -61,9 +61,8 @@ def layout(sides: Sequence[int]) -> tuple[ndarray, ndarray]:
 
 def level_slices() -> list[slice]:
     """The rows of each level's texels."""
-    sides, starts = layout(SIDES)
-    ends = starts + 6 * (sides + 2) ** 2
-    return [slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
+    levels = zip(*layout(SIDES), strict=True)
+    return [slice(start, start + 6 * (side + 2) ** 2) for side, start in levels]
 
 
 def prefiltered(cube: ndarray) -> ndarray:

@@ -83,37 +83,24 @@ class ObjectRays:
         self, starts: ndarray, directions: ndarray
     ) -> tuple[ndarray, ndarray]:
         """(face (n,), -1 = none; distance (n,)) of rays (n, 3), through what lets them pass."""
-        face, distance, chance = self._first(starts, directions)
-        for _ in range(_PASSES):
-            through = np.flatnonzero((face >= 0) & (self.opacity[face] < _OPAQUE))
-            through = through[chance[through] > self.opacity[face[through]]]
-            if not len(through):
-                break
-            behind = distance[through] + self.lift_m
-            moved = starts[through] + behind[:, None] * directions[through]
-            face[through], more, chance[through] = self._first(
-                moved, directions[through]
+        face, distance = np.empty(len(starts), int), np.zeros(len(starts), np.float32)
+        going, onward = np.arange(len(starts)), 0.0
+        for _ in range(_PASSES + 1):
+            begin, along = distance[going] + onward, directions[going]
+            hits = self.triangles.first_hits(
+                starts[going] + begin[:, None] * along, along
             )
-            distance[through] = behind + more
+            met = face[going] = hits["primID"]
+            distance[going] = begin + hits["tfar"]
+            # a number in 0..1 that depends on the place that is met alone
+            u, v = (np.asarray(hits[name], float) for name in "uv")
+            place = u * 12.9898 + v * 78.233
+            chance = (np.sin(place) * 43758.5453) % 1
+            clear = self.opacity[met] < np.minimum(chance, _OPAQUE)
+            going, onward = going[(met >= 0) & clear], self.lift_m
+            if not len(going):
+                break
         return face, distance
-
-    def _first(
-        self, starts: ndarray, directions: ndarray
-    ) -> tuple[ndarray, ndarray, ndarray]:
-        """(face, distance, a number in 0..1 that depends on the place that is met alone),
-        each (n,).
-        """
-        hits = self.triangles.first_hits(starts, directions)
-        place = (
-            np.asarray(hits["u"], float) * 12.9898
-            + np.asarray(hits["v"], float) * 78.233
-        )
-        chance = (np.sin(place) * 43758.5453) % 1
-        return (
-            np.array(hits["primID"], np.int64),
-            np.array(hits["tfar"], np.float32),
-            chance,
-        )
 
     def open_fraction(self, points: ndarray, directions: ndarray) -> ndarray:
         """(n,) share of `directions` (k, 3) in which nothing stops a ray from points (n, 3)."""
