@@ -69,9 +69,7 @@ def depth_map(caster: Caster, beam: Beam) -> DepthMap:
     pitch = max(float((high - low).max()) / (MAP_TEXELS - 5), 1e-9)
     origin = (low + high) / 2 - pitch * (MAP_TEXELS - 1) / 2
     matrix = np.column_stack([axes, [-origin[0], -origin[1], 0.0]]) / pitch
-    u, v, h = np.ascontiguousarray(
-        (caster.vertices @ matrix[:, :3].T + matrix[:, 3]).T
-    )
+    u, v, h = np.ascontiguousarray(((p - [*origin, 0.0]) / pitch).T)
     depth = height_map(u, v, h, caster.faces, MAP_TEXELS, MAP_TEXELS, _F(_EMPTY))
     spread = np.tan(np.radians(beam.size_deg / 2))
     lift = _LIFT_TEXELS + _LIFT_SAGS * caster.sag_m / pitch
