@@ -69,6 +69,15 @@ def placed(matrix, a):  # pragma: no cover - compiled
 
 
 @line_kernel(fastmath=FAST)
+def cell(t, count):  # pragma: no cover - compiled
+    """(first, share): between which two of `count` places in a row t lies, and how far from the
+    first, 0..1; beyond them at the outermost."""
+    inside = min(max(np.float32(0), t), np.float32(count - 1.001))
+    first = np.int64(inside)
+    return first, inside - np.float32(first)
+
+
+@line_kernel(fastmath=FAST)
 def between_rows(flat, first, row, channel, fu, fv):  # pragma: no cover - compiled
     """One channel of values (n, c) between one, the next one, and those `row` on; fu, fv : 0..1"""
     right, below = first + np.uintp(1), first + row

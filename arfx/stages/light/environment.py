@@ -22,7 +22,7 @@ from numpy import ndarray
 from arfx.core.compiled import FAST, kernel, line_kernel
 from arfx.core.cube import bordered, face_directions, resampled
 from arfx.core.sampling import GOLDEN_RAD, frame_about
-from arfx.core.vectors import mixed, shifted, turned, vector
+from arfx.core.vectors import cell, mixed, shifted, turned, vector
 from arfx.stages.light.planes import halvings
 
 _F = np.float32
@@ -174,9 +174,8 @@ def look_up(texels, sides, starts, level, direction):  # pragma: no cover - comp
             continue
         side, start = sides[first + q], starts[first + q]
         scale = half * _F(side)
-        column, row = (u + one) * scale + half, (v + one) * scale + half
-        i, j = min(max(int(column), 0), side), min(max(int(row), 0), side)
-        fc, fr = column - _F(i), row - _F(j)
+        i, fc = cell((u + one) * scale + half, side + 2)
+        j, fr = cell((v + one) * scale + half, side + 2)
         near = np.uintp(start + (face * (side + 2) + j) * (side + 2) + i)
         below = near + np.uintp(side + 2)
         top = mixed(texels[near], texels[near + np.uintp(1)], fc)

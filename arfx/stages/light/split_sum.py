@@ -14,7 +14,7 @@ import numpy as np
 from numpy import ndarray
 
 from arfx.core.compiled import FAST, line_kernel
-from arfx.core.vectors import between_rows
+from arfx.core.vectors import between_rows, cell
 
 ROUGHNESSES, COSINES = 16, 32  # entries of the table
 _MICROFACETS = 512
@@ -62,12 +62,9 @@ def table_entry(table, roughness, cosine):  # pragma: no cover - compiled
     """The two values of a table (m, n, 2) over roughness and cosine, 0..1 each, linear
     between its entries.
     """
-    one, zero = np.float32(1), np.float32(0)
     rows, columns = table.shape[:2]
-    s = min(max(roughness, zero), one) * np.float32(rows - 1)
-    t = min(max(cosine, zero), one) * np.float32(columns - 1)
-    i, j = min(int(s), rows - 2), min(int(t), columns - 2)
-    down, right = s - np.float32(i), t - np.float32(j)
+    i, down = cell(roughness * np.float32(rows - 1), rows)
+    j, right = cell(cosine * np.float32(columns - 1), columns)
     flat, line = table.reshape(-1, 2), np.uintp(columns)
     first = np.uintp(i) * line + np.uintp(j)
     a = between_rows(flat, first, line, 0, right, down)

@@ -20,7 +20,7 @@ from arfx.core.compiled import FAST, line_kernel
 from arfx.core.layers import packed
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
-from arfx.core.vectors import between_rows, placed, shifted, turned
+from arfx.core.vectors import between_rows, cell, placed, shifted, turned
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -109,11 +109,7 @@ def _read(
                 continue
             off = turned(turn, normal[y, x])
             u, v, w = shifted(placed(matrix, position[y, x]), one, off)
-            u = min(max(u, zero), np.float32(nx - 1.001))
-            v = min(max(v, zero), np.float32(ny - 1.001))
-            w = min(max(w, zero), np.float32(nz - 1.001))
-            iu, iv, iw = np.int64(u), np.int64(v), np.int64(w)
-            fu, fv, fw = u - np.float32(iu), v - np.float32(iv), w - np.float32(iw)
+            (iu, fu), (iv, fv), (iw, fw) = cell(u, nx), cell(v, ny), cell(w, nz)
             a = np.uintp((iw * ny + iv) * nx + iu)
             behind = a + np.uintp(nx * ny)
             for c in range(channels):
