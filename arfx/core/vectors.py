@@ -1,5 +1,4 @@
-"""Vectors of three numbers in compiled loops, tuples or rows of arrays, and values between
-others."""
+"""Vectors of three numbers in compiled loops, tuples or rows of arrays, and places in rows."""
 
 # mypy: disable-error-code="no-untyped-def"
 import numpy as np
@@ -75,13 +74,3 @@ def cell(t, count):  # pragma: no cover - compiled
     inside = min(max(np.float32(0), t), np.float32(count - 1.001))
     first = np.int64(inside)
     return first, inside - np.float32(first)
-
-
-@line_kernel(fastmath=FAST)
-def between_rows(flat, first, row, channel, fu, fv):  # pragma: no cover - compiled
-    """One channel of values (n, c) between one, the next one, and those `row` on; fu, fv : 0..1"""
-    right, below = first + np.uintp(1), first + row
-    across = below + np.uintp(1)
-    low = flat[first, channel] + fu * (flat[right, channel] - flat[first, channel])
-    high = flat[below, channel] + fu * (flat[across, channel] - flat[below, channel])
-    return low + fv * (high - low)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy import ndarray
 
 from arfx.core.compiled import FAST, line_kernel
-from arfx.core.vectors import between_rows, cell
+from arfx.core.vectors import cell
 
 ROUGHNESSES, COSINES = 16, 32  # entries of the table
 _MICROFACETS = 512
@@ -65,7 +65,13 @@ def table_entry(table, roughness, cosine):  # pragma: no cover - compiled
     rows, columns = table.shape[:2]
     i, down = cell(roughness * np.float32(rows - 1), rows)
     j, right = cell(cosine * np.float32(columns - 1), columns)
-    flat, line = table.reshape(-1, 2), np.uintp(columns)
-    first = np.uintp(i) * line + np.uintp(j)
-    a = between_rows(flat, first, line, 0, right, down)
-    return a, between_rows(flat, first, line, 1, right, down)
+    at = np.uintp(i), np.uintp(j), down, right
+    return _channel(table, 0, *at), _channel(table, 1, *at)
+
+
+@line_kernel(fastmath=FAST)
+def _channel(table, c, i, j, down, right):  # pragma: no cover - compiled
+    below, beside = i + np.uintp(1), j + np.uintp(1)
+    low = table[i, j, c] + right * (table[i, beside, c] - table[i, j, c])
+    high = table[below, j, c] + right * (table[below, beside, c] - table[below, j, c])
+    return low + down * (high - low)

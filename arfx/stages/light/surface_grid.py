@@ -20,7 +20,7 @@ from arfx.core.compiled import FAST, line_kernel
 from arfx.core.layers import packed
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
-from arfx.core.vectors import between_rows, cell, placed, shifted, turned
+from arfx.core.vectors import cell, placed, shifted, turned
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -113,6 +113,16 @@ def _read(
             a = np.uintp((iw * ny + iv) * nx + iu)
             behind = a + np.uintp(nx * ny)
             for c in range(channels):
-                near = between_rows(flat, a, np.uintp(nx), c, fu, fv)
-                far = between_rows(flat, behind, np.uintp(nx), c, fu, fv)
+                near = _between(flat, a, np.uintp(nx), c, fu, fv)
+                far = _between(flat, behind, np.uintp(nx), c, fu, fv)
                 out[y, x, c] = near + fw * (far - near)
+
+
+@line_kernel(fastmath=FAST)
+def _between(flat, first, row, channel, fu, fv):  # pragma: no cover - compiled
+    """One channel between a node, the next one, and those one `row` on."""
+    right, below = first + np.uintp(1), first + row
+    across = below + np.uintp(1)
+    low = flat[first, channel] + fu * (flat[right, channel] - flat[first, channel])
+    high = flat[below, channel] + fu * (flat[across, channel] - flat[below, channel])
+    return low + fv * (high - low)
