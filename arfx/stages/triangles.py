@@ -3,8 +3,6 @@ a set of directions.
 """
 
 # mypy: disable-error-code="no-untyped-def"
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -3,8 +3,6 @@
 Each level is the mean of four texels of the level below, 16 bits a channel, with a border of one
 texel all around: of the opposite side where the texture repeats, else of the same."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 
