@@ -11,7 +11,10 @@ from arfx.core.codec import Document, Unbounded
 from arfx.core.numerics import normalise
 from arfx.core.sampling import sphere
 
-_EVEN = 0.28209479177387814  # the harmonic of degree 0
+# Of the nine `harmonics`, in their order: what makes them orthonormal on the sphere.
+_FIRST, _SECOND = 0.4886025119029199, 1.0925484305920792
+_LAST = _SECOND, 0.31539156525252005, _SECOND, _SECOND / 2
+HARMONIC_FACTORS = np.array([0.28209479177387814, *[_FIRST] * 3, _SECOND, *_LAST])
 # Fraction of each degree of a radiance distribution that remains in the radiance of a white
 # diffuse surface over its normal (Ramamoorthi and Hanrahan 2001, eq. 8, over pi), for the
 # nine `harmonics`.
@@ -109,7 +112,7 @@ class Light(Document):
     ) -> Light:
         """A light whose ambient part is `soft` (9, 3), with its mean over all normals."""
         return Light(
-            triple(soft[0] * _EVEN),
+            triple(soft[0] * HARMONIC_FACTORS[0]),
             lights,
             source,
             tuple(map(triple, soft)),
@@ -123,17 +126,11 @@ def harmonics(n: ndarray) -> ndarray:
     """
     x, y, z = n[..., 0], n[..., 1], n[..., 2]
     terms = (
-        np.full(x.shape, _EVEN),
-        0.4886025119029199 * y,
-        0.4886025119029199 * z,
-        0.4886025119029199 * x,
-        1.0925484305920792 * x * y,
-        1.0925484305920792 * y * z,
-        0.31539156525252005 * (3 * z * z - 1),
-        1.0925484305920792 * x * z,
-        0.5462742152960396 * (x * x - y * y),
+        np.ones(x.shape),
+        *(y, z, x),
+        *(x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y),
     )
-    return np.stack(terms, -1)
+    return HARMONIC_FACTORS * np.stack(terms, -1)
 
 
 def turned_harmonics(coefficients: ndarray, rotation: ndarray) -> ndarray:

@@ -1,4 +1,4 @@
-"""Vectors of three numbers in compiled loops: tuples, or rows of arrays."""
+"""Vectors of three numbers in compiled loops, tuples or rows of arrays, and places in rows."""
 
 # mypy: disable-error-code="no-untyped-def"
 import numpy as np
@@ -65,3 +65,12 @@ def placed(matrix, a):  # pragma: no cover - compiled
     """matrix (3, 4 or more) @ (a, 1), of the first four columns"""
     x, y, z = turned(matrix, a)
     return x + matrix[0, 3], y + matrix[1, 3], z + matrix[2, 3]
+
+
+@line_kernel(fastmath=FAST)
+def cell(t, count):  # pragma: no cover - compiled
+    """(first, share): between which two of `count` places in a row t lies, and how far from the
+    first, 0..1; beyond them at the outermost."""
+    inside = min(max(np.float32(0), t), np.float32(count - 1.001))
+    first = np.int64(inside)
+    return first, inside - np.float32(first)

@@ -13,8 +13,6 @@ strength what glTF's materials mirror seen from above.
 Deviations. M comes from s1_light, with its own. Where the analysis has no map (a light that
 is given) the light's own soft part and its lights are in its place."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy import ndarray
 
@@ -25,7 +23,7 @@ from arfx.core.numerics import divide, normalise
 from arfx.core.stage import View
 from arfx.stages.light.beams import FrameLight
 from arfx.stages.lightmap import Lightmap
-from arfx.stages.lightmap.shading import Surface
+from arfx.stages.lightmap.shading import Lights, Surface
 from arfx.stages.lightmap.stage import LightmapParams
 
 LEAST_ROUGHNESS = 0.05
@@ -67,9 +65,7 @@ class PrintedLightmap(Lightmap):
     def shaded(
         self,
         surface: Surface,
-        soft_visibility: ndarray,
-        visibility: ndarray,
-        reaching: Sequence[int],
+        lights: Lights,
         light: FrameLight,
         view: View,
         now: Layers,
@@ -90,9 +86,8 @@ class PrintedLightmap(Lightmap):
             even = np.clip(harmonics(n) @ light.soft, 0, None)
         received = even * self.soft
         highlight = np.zeros(n.shape)
-        for k, visible in zip(reaching, visibility, strict=True):
-            d = light.towards[k]
-            arrives = light.rgb[k] * light.on_object[k] * visible[covered][:, None]
+        for d, rgb, _, visible in zip(*lights[:4], strict=True):
+            arrives = rgb * visible[covered][:, None]
             received = received + arrives * np.maximum(n @ d, 0)[:, None]
             highlight += arrives * phong(n, v, d, roughness[:, 0])[:, None]
         light_map_ = printed_map(view.facts.light_map)

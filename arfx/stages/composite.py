@@ -51,15 +51,9 @@ class Composite(Stage):
             )
         if not box.empty:
             over = now.crop(box)
-            _over(
-                over[Layer.PLATE],
-                over[Layer.VIRTUAL],
-                over[Layer.COVERAGE],
-                over[Layer.SHADOW],
-                opacity,
-                bias,
-                image[box.slices_in(shaded.rect)],
-            )
+            read = Layer.PLATE, Layer.VIRTUAL, Layer.COVERAGE, Layer.SHADOW
+            to = image[box.slices_in(shaded.rect)]
+            _over(*(over[name] for name in read), opacity, bias, to)
         return {Layer.IMAGE: Pixels(shaded.rect, image)}
 
 

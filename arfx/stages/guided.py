@@ -38,12 +38,14 @@ def refined(mask: ndarray, valid: ndarray, plate: ndarray, radius_px: int) -> nd
 
     valid : (h, w) float32, 1 where the mask means anything, else 0;  plate : (h, w, 3) linear light
     """
+    if (mask == 1).all():
+        return mask
     reach = 2 * _PASSES * radius_px
     around = np.ones((2 * reach + 1,) * 2, np.uint8)
-    least = cv2.erode(np.where(valid > 0, mask, 1).astype(np.float32), around)
-    mixed = (
-        cv2.dilate(np.where(valid > 0, mask, 0).astype(np.float32), around) > least
-    ) & (valid > 0)
+    known = valid > 0
+    least = cv2.erode(np.where(known, mask, 1).astype(np.float32), around)
+    most = cv2.dilate(np.where(known, mask, 0).astype(np.float32), around)
+    mixed = (most > least) & known
     held = Rect.holding(mixed)
     if held.empty:
         return mask

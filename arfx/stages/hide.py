@@ -67,11 +67,7 @@ class Hide(Stage):
         )
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
-        return (
-            out
-            if level == "draft"
-            else out.pad(reach_px(scene)).clip(scene.camera.rect)
-        )
+        return out if level == "draft" else out.pad(reach_px(scene))
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, ndarray]:
         coverage, virtual = view[Layer.COVERAGE], view[Layer.VIRTUAL]
@@ -82,7 +78,7 @@ class Hide(Stage):
             self.params.margin,
         )
         valid = (coverage > 0).astype(np.float32)
-        if view.level != "draft" and (visibility < 1).any():
+        if view.level != "draft":
             visibility = refined(
                 visibility, valid, view[Layer.PLATE], window_px(view.scene)
             )

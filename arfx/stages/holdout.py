@@ -56,11 +56,7 @@ class Holdout(Stage):
         return Demand(None, "measured depth shows which pixels are the plane")
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
-        return (
-            out
-            if level == "draft"
-            else out.pad(reach_px(scene)).clip(scene.camera.rect)
-        )
+        return out if level == "draft" else out.pad(reach_px(scene))
 
     def prepare(self, scene: Scene, level: str) -> ndarray:
         return direction_grid(scene.camera)
@@ -79,7 +75,7 @@ class Holdout(Stage):
             prepared, view.pose @ scene.world_from_anchor, around
         )
         fraction = on_plane(part[Layer.REAL_DEPTH], dioptres, tolerance)
-        if view.level != "draft" and (fraction < 1).any():
+        if view.level != "draft":
             fraction = refined(
                 fraction, np.ones_like(fraction), part[Layer.PLATE], window_px(scene)
             )

@@ -2,12 +2,14 @@
 a set of directions.
 """
 
+# mypy: disable-error-code="no-untyped-def"
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy import ndarray
 
+from arfx.core.compiled import kernel
 from arfx.core.numerics import divide
 from arfx.core.parallel import parallel_map
 from arfx.core.scene import Scene
@@ -91,3 +93,16 @@ def anchor_mesh(scene: Scene) -> SceneMesh:
     """The scene's model in anchor axes."""
     anchor_from_world = scene.world_from_anchor.inverse().matrix
     return flatten(scene.model, anchor_from_world @ scene.world_from_model)
+
+
+@kernel(inline="always")
+def vertices_of(faces, f):  # pragma: no cover - compiled
+    """Numbers of the three vertices of a face."""
+    return np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
+
+
+@kernel(inline="always")
+def span(low, high, pad, most):  # pragma: no cover - compiled
+    """Half-open range of the pixels, 0 to `most`, from low - pad to high + pad."""
+    first = min(max(np.ceil(low - pad), 0.0), most)
+    return np.uintp(first), np.uintp(min(max(np.floor(high + pad) + 1, first), most))

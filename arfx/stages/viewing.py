@@ -12,15 +12,11 @@ from arfx.core.rect import Rect
 GRID_PX = 8  # pitch of the table: error below 1e-3 px for usual lenses
 
 
-def direction_grid(camera: Camera, pixel: int = 1) -> ndarray:
+def direction_grid(camera: Camera) -> ndarray:
     """(gh, gw, 3) float64 viewing directions, z = 1, at every GRID_PX-th pixel, one step
-    beyond the picture.
-
-    pixel : side, px, of the squares that count as pixels"""
-    x, y = (
-        pixel * np.arange(0, -(-n // pixel) + GRID_PX, GRID_PX) + (pixel - 1) / 2
-        for n in (camera.width, camera.height)
-    )
+    beyond the picture."""
+    sides = camera.width, camera.height
+    x, y = (np.arange(0.0, side + GRID_PX, GRID_PX) for side in sides)
     return camera.directions(np.stack(np.meshgrid(x, y), -1))
 
 

@@ -115,7 +115,7 @@ def sky_radiance(facts: FrameFacts, scene: Scene, light: Light) -> ndarray:
     `sky_texels` numbers them.
     """
     around = frame_surroundings(facts, scene, light)
-    cube = around.cube(around.wide).astype(np.float32)
+    cube = around.cube(around.wide)
     coarse = [
         cv2.resize(face, (SKY, SKY), interpolation=cv2.INTER_AREA) for face in cube
     ]

@@ -78,14 +78,14 @@ def frame_light(
 
     Lights without a direction or without finite colour are left out; negative colour counts
     as none, a size that is not finite as the smallest."""
-    t = np.array([li.unit for li in light.lights]).reshape(-1, 3)
-    c = np.clip(
-        np.array([li.rgb for li in light.lights], float).reshape(-1, 3), 0, None
-    )
-    sizes_deg = np.array([li.angular_size_deg for li in light.lights], float)
-    usable = t.any(1) & np.isfinite(c).all(1) & c.any(1)
-    t, c = t[usable], c[usable]
-    sizes_deg = np.nan_to_num(sizes_deg[usable], posinf=0)
+    usable = [
+        li
+        for li in light.lights
+        if li.unit.any() and np.isfinite(li.rgb).all() and max(li.rgb) > 0
+    ]
+    t = np.array([li.unit for li in usable]).reshape(-1, 3)
+    c = np.clip([li.rgb for li in usable], 0, None).reshape(-1, 3)
+    sizes_deg = np.nan_to_num([li.angular_size_deg for li in usable], posinf=0)
     s = np.zeros(len(t)) if hard else np.clip(sizes_deg, SMALLEST_DEG, LARGEST_DEG)
     beams = tuple(
         quantised(world_from_anchor.rotation.T @ d, size)

@@ -10,6 +10,7 @@ from numpy import ndarray
 from arfx.core.numerics import arccos, divide, normalise, same_rows
 from arfx.core.sampling import sphere
 from arfx.core.scene import Scene
+from arfx.core.scene_mesh import across
 from arfx.stages.triangles import anchor_mesh
 
 _SUNK = 1e-6  # of the extent: what lies less than this below the plane is rounding
@@ -74,7 +75,6 @@ def make_caster(scene: Scene) -> Caster:
         over, over_faces, _ = slice_faces_plane(vertices, every, up, np.zeros(3))
         over[:, 2] = np.maximum(over[:, 2], 0)
         over_faces = over_faces.astype(np.int32)
-    a, b, c = (over[over_faces[:, i]] for i in range(3))
     top = float(over[:, 2].max(initial=0.0))
     sag, slope = _faceting(vertices, every, mesh.normals, extent)
     return Caster(
@@ -83,7 +83,7 @@ def make_caster(scene: Scene) -> Caster:
         over.astype(np.float32),
         over_faces,
         _edges(over, over_faces),
-        np.cross(b - a, c - a).T.astype(np.float32),
+        across(over[over_faces]).T.astype(np.float32),
         _outline(over[np.unique(over_faces)]),
         extent,
         max(top, 0.0),
@@ -103,24 +103,19 @@ def _edges(vertices: ndarray, faces: ndarray) -> ndarray:
     grid = np.round(divide(vertices - low, _WELD_DISTANCE * size))
     first, vertex = same_rows(grid)
     at = first[vertex[faces]]
-    run = np.concatenate([at[:, [0, 1]], at[:, [1, 2]], at[:, [2, 0]]])
-    face = np.tile(np.arange(len(faces)), 3)
-    keep = run[:, 0] != run[:, 1]
-    run, face = run[keep], face[keep]
-    way = np.where(run[:, 0] < run[:, 1], 1, -1)
-    run = np.sort(run, 1)
-    order = np.lexsort((way, run[:, 1], run[:, 0]))
-    run, face, way = run[order], face[order], way[order]
-    new = np.r_[True, (run[1:] != run[:-1]).any(1)]
-    start = np.flatnonzero(new)
-    rank = np.arange(len(run)) - np.repeat(start, np.diff(np.r_[start, len(run)]))
+    run = np.stack([at, np.roll(at, -1, 1)]).T.reshape(-1, 2)
+    way = np.sign(run[:, 1] - run[:, 0])
+    _, edge = same_rows(np.sort(run, 1))
+    order = np.lexsort((way, edge))
+    run, way, edge, face = run[order], way[order], edge[order], order % len(faces)
+    rank = np.arange(len(edge)) - np.searchsorted(edge, edge)
     one = np.flatnonzero(rank % 2 == 0)
-    paired = np.r_[rank[1:], 0][one] % 2 == 1
-    two = np.where(paired, np.minimum(one + 1, len(run) - 1), one)
-    ends = np.where(way[one, None] > 0, run[one], run[one, ::-1])
-    return np.column_stack(
-        [ends, face[one], np.where(paired, face[two], -1), way[one] * way[two]]
-    ).astype(np.int32)
+    paired = np.r_[rank, 0][one + 1] % 2
+    two = one + paired
+    other = np.where(paired, face[two], -1)
+    return np.column_stack([run[one], face[one], other, way[one] * way[two]]).astype(
+        np.int32
+    )
 
 
 def _outline(points: ndarray) -> ndarray:
@@ -156,15 +151,13 @@ def _faceting(
     """95 % of the facets lie less than this below their smooth surface (metres), and lean
     from it by less than this slope.
     """
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    face = normalise(np.cross(b - a, c - a))
+    corners = vertices[faces]
+    face = normalise(across(corners))
     cosine = np.abs((normals[faces] * face[:, None]).sum(-1)).min(1)
     angle = np.minimum(arccos(cosine), np.radians(45))
-    side = np.linalg.norm([a - b, b - c, c - a], axis=2).max(0)
+    side = np.linalg.norm(corners - np.roll(corners, 1, 1), axis=2).max(1)
     # a chord of length L that leans by the angle from the arc's tangent at its end lies L /
     # 2 tan(angle / 2) below the arc
-    sag = (
-        float(np.quantile(side / 2 * np.tan(angle / 2), 0.95)) if len(faces) else 0.0
-    )
-    slope = float(np.quantile(np.tan(angle), 0.95)) if len(faces) else 0.0
+    sags, slopes = side / 2 * np.tan(angle / 2), np.tan(angle)
+    sag, slope = (float(np.quantile(values, 0.95)) for values in (sags, slopes))
     return min(sag, _COARSEST_SAG * extent), slope

@@ -20,7 +20,7 @@ from numpy import ndarray
 from arfx.core.compiled import FAST, kernel, line_kernel
 from arfx.core.cube import bordered, face_directions, resampled
 from arfx.core.sampling import GOLDEN_RAD, frame_about
-from arfx.core.vectors import mixed, shifted, turned, vector
+from arfx.core.vectors import cell, mixed, shifted, turned, vector
 from arfx.stages.light.planes import halvings
 
 _F = np.float32
@@ -59,9 +59,8 @@ def layout(sides: Sequence[int]) -> tuple[ndarray, ndarray]:
 
 def level_slices() -> list[slice]:
     """The rows of each level's texels."""
-    sides, starts = layout(SIDES)
-    ends = starts + 6 * (sides + 2) ** 2
-    return [slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
+    levels = zip(*layout(SIDES), strict=True)
+    return [slice(start, start + 6 * (side + 2) ** 2) for side, start in levels]
 
 
 def prefiltered(cube: ndarray) -> ndarray:
@@ -154,14 +153,14 @@ def look_up(texels, sides, starts, level, direction):  # pragma: no cover - comp
     x, y, z = direction
     ax, ay, az = abs(x), abs(y), abs(z)
     if ax >= ay and ax >= az:
-        s = one / max(ax, _F(1e-20))
-        face, u, v = 0 if x > zero else 1, -z * s, y * s
+        face, along, u, v = 0, x, -z, y
     elif ay >= az:
-        s = one / max(ay, _F(1e-20))
-        face, u, v = 2 if y > zero else 3, x * s, -z * s
+        face, along, u, v = 2, y, x, -z
     else:
-        s = one / max(az, _F(1e-20))
-        face, u, v = 4 if z > zero else 5, x * s, y * s
+        face, along, u, v = 4, z, x, y
+    face += along <= zero
+    inverse = one / max(abs(along), _F(1e-20))
+    u, v = u * inverse, v * inverse
     last = _F(sides.shape[0] - 1)
     level = min(max(level, zero), last)
     first = min(int(level), sides.shape[0] - 2)
@@ -173,9 +172,8 @@ def look_up(texels, sides, starts, level, direction):  # pragma: no cover - comp
             continue
         side, start = sides[first + q], starts[first + q]
         scale = half * _F(side)
-        column, row = (u + one) * scale + half, (v + one) * scale + half
-        i, j = min(max(int(column), 0), side), min(max(int(row), 0), side)
-        fc, fr = column - _F(i), row - _F(j)
+        i, fc = cell((u + one) * scale + half, side + 2)
+        j, fr = cell((v + one) * scale + half, side + 2)
         near = np.uintp(start + (face * (side + 2) + j) * (side + 2) + i)
         below = near + np.uintp(side + 2)
         top = mixed(texels[near], texels[near + np.uintp(1)], fc)

@@ -127,12 +127,12 @@ def soft_picture(
         directions = towards[bundle == k]
         slopes = -directions[:, :2] / directions[:, 2:]
         edges = caster.edges, caster.across, directions, slopes, shape
-        return covered_fraction(points, *edges), directions.sum(0)
+        parts = np.append(len(directions), directions.sum(0)) / sky
+        return parts.astype(np.float32), covered_fraction(points, *edges)
 
     hidden = np.zeros((4, *shape), np.float32)
-    for k, (fraction, summed) in enumerate(parallel_map(counted, range(_BUNDLES))):
-        for part, weight in zip(hidden, ((bundle == k).sum(), *summed), strict=True):
-            part += np.float32(weight / sky) * fraction
+    for parts, fraction in parallel_map(counted, range(_BUNDLES)):
+        hidden += np.multiply.outer(parts, fraction)
     return PlaneTexture(hidden, matrix)
 
 

@@ -138,10 +138,9 @@ def planes_of(scene: Scene) -> Planes:
         distance = float((centre - o) @ n)
         if same and measured is not None and np.abs(bounds[same[0]]).min() >= ENDLESS:
             k = same[0]
-            x = normalise(
-                m.rotation[:, 0] - (m.rotation[:, 0] @ axes[k][3]) * axes[k][3]
-            )
-            axes[k] = np.stack([axes[k][0], x, np.cross(axes[k][3], x), axes[k][3]])
+            origin, *_, up = axes[k]
+            y = normalise(np.cross(up, m.rotation[:, 0]))
+            axes[k] = np.stack([origin, np.cross(y, up), y, up])
             bounds[k] = _bounds(measured, axes[k], o)
         if not same and -0.5 * radius < distance < FARTHEST * radius:
             axes.append(
@@ -162,9 +161,7 @@ def _bounds(measured: RealPlane | None, axes: ndarray, origin: ndarray) -> ndarr
     """
     out = np.array([-ENDLESS, -ENDLESS, ENDLESS, ENDLESS])
     if measured is not None:
-        shift = np.tile(
-            [(origin - axes[0]) @ axes[1], (origin - axes[0]) @ axes[2]], 2
-        )
+        shift = np.tile(axes[1:3] @ (origin - axes[0]), 2)
         out = np.where(measured.ends, np.asarray(measured.extent_m) + shift, out)
     return out
 
@@ -266,22 +263,22 @@ class PlatePicture:
         eye = self.camera_from_anchor.inverse().translation_m
         placed = self.camera_from_anchor.apply(places)
         seen = self.camera.project(placed)
-        inside = np.isfinite(seen).all(-1) & ((eye - axes[0]) @ axes[3] > 0)
-        x, y = np.moveaxis(np.where(inside[..., None], seen, -1e6), -1, 0)
-        inside &= (x >= allowed.x0) & (x <= allowed.x1 - 1)
+        seen[~np.isfinite(seen)] = -1e6
+        x, y = np.moveaxis(seen, -1, 0)
+        inside = (x >= allowed.x0) & (x <= allowed.x1 - 1)
+        inside &= (eye - axes[0]) @ axes[3] > 0
         inside &= (y >= allowed.y0) & (y <= allowed.y1 - 1)
         if not inside.any():
             return np.zeros(places.shape, np.float32), inside.astype(np.float32)
-        x, y = x - rect.x0, y - rect.y0
+        seen -= rect[:2]
         if self.real.size:
-            column, row = np.rint([x[inside], y[inside]]).astype(int)
+            column, row = np.rint(seen[inside].T).astype(int)
             dioptres = 1 / placed[inside][:, 2]
             inside[inside] = (
                 on_plane(self.real[row, column], dioptres, SAME_DEPTH) == 1
             )
-        border = cv2.BORDER_REPLICATE
-        at = x.astype(np.float32), y.astype(np.float32)
-        out = cv2.remap(self.plate, *at, cv2.INTER_LINEAR, borderMode=border)
+        at, way = seen.astype(np.float32), cv2.INTER_LINEAR
+        out = cv2.remap(self.plate, at, None, way, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
         out = np.clip(out - self.bias, 0, None) * inside[..., None]
         return np.asarray(out, np.float32), inside.astype(np.float32)
 

@@ -52,10 +52,12 @@ class ShadowRegion:
         self.outline_m = lru_cache(maxsize=256)(self._outline_m)
         self.soft_pictures = lru_cache(maxsize=2)(self._soft_pictures)
 
-    @property
-    def hidden(self) -> float:
-        """The most that the object hides of the plane's hemisphere, 0..1."""
-        return float(self.soft.dark[0].max())
+    def darkest(self, light: FrameLight) -> float:
+        """The largest share of the plane's light, 0..1, that the object can take: every
+        directional light, and of the ambient one what it hides where it hides most."""
+        hidden = min(float(self.soft.dark[0].max()) * unevenness(light), 1.0)
+        taken = light.ambient_fraction * hidden + light.direct_fractions.sum(0)
+        return self.caster.opacity * float(taken.max())
 
     def _soft_pictures(
         self, level: PlaneLevel, least: float
@@ -109,15 +111,6 @@ def plane_rect(points_m: ndarray, facts: FrameFacts, scene: Scene) -> Rect:
     points = np.column_stack([points_m, np.zeros(len(points_m))])
     return seen_rect(
         scene.camera, facts.pose.apply(scene.world_from_anchor.apply(points)), 1.0
-    )
-
-
-def darkest(light: FrameLight, scene: Scene) -> float:
-    """The largest share of the plane's light, 0..1, that the object can take: every
-    directional light, and of the ambient one what it hides where it hides most."""
-    hidden = min(shadow_region(scene).hidden * unevenness(light), 1.0)
-    return float(
-        (light.ambient_fraction * hidden + light.direct_fractions.sum(0)).max()
     )
 
 

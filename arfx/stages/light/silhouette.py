@@ -13,9 +13,10 @@ from numpy import ndarray
 
 from arfx.core.compiled import kernel
 from arfx.core.sampling import r2
+from arfx.stages.triangles import span, vertices_of
 
 _F = np.float32
-_NEAR = 1e-6  # texels: no gap between two triangles
+_NEAR = 1e-6  # share of a corner: no gap between two triangles
 
 
 def covered_fraction(
@@ -94,7 +95,7 @@ def _add_edge(turns, u, v, a, b, weight):  # pragma: no cover - compiled
         turns[y, min(max(x, zero), last_column)] += weight
 
 
-@kernel()
+@kernel(error_model="numpy")
 def height_map(
     u, v, height, faces, rows, columns, empty
 ):  # pragma: no cover - compiled
@@ -104,38 +105,26 @@ def height_map(
     u, v, height : (n,) of the vertices, texels (centres at integers)"""
     out = np.full((rows, columns), empty, np.float32)
     for f in range(faces.shape[0]):
-        i, j, k = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
+        i, j, k = vertices_of(faces, f)
         across, down = u[j] - u[i], v[j] - v[i]
         far, low = u[k] - u[i], v[k] - v[i]
         area = across * low - down * far
         if area == 0:
             continue
+        # slivers have slopes without bound: never beyond their own corners
         bottom = min(height[i], height[j], height[k])
         top = max(height[i], height[j], height[k])
-        first = max(int(np.ceil(min(v[i], v[j], v[k]))), 0)
-        last = min(int(np.floor(max(v[i], v[j], v[k]))), rows - 1)
-        for y in range(first, last + 1):
+        first, last = span(min(u[i], u[j], u[k]), max(u[i], u[j], u[k]), 0.0, columns)
+        upper, lower = span(min(v[i], v[j], v[k]), max(v[i], v[j], v[k]), 0.0, rows)
+        for y in range(upper, lower):
             # shares of the second and the third corner at column 0, and what a column adds
             second = (-u[i] * low - (y - v[i]) * far) / area
             third = (across * (y - v[i]) + u[i] * down) / area
-            more, less = low / area, -down / area
-            begin, end = 0.0, columns - 1.0
-            for share, slope in (
-                (second, more),
-                (third, less),
-                (1 - second - third, -more - less),
-            ):
-                if slope > 0:
-                    begin = max(begin, -share / slope)
-                elif slope < 0:
-                    end = min(end, -share / slope)
-                elif share < 0:
-                    end = -1.0
-            for x in range(
-                int(np.ceil(begin - _NEAR)), int(np.floor(end + _NEAR)) + 1
-            ):
-                h = height[i] + (second + x * more) * (height[j] - height[i])
-                h += (third + x * less) * (height[k] - height[i])
-                # slivers have slopes without bound: never beyond their own corners
-                out[y, x] = max(out[y, x], min(max(h, bottom), top))
+            line = out[y]
+            for x in range(first, last):
+                b, c = second + x * (low / area), third - x * (down / area)
+                h = height[i] + b * (height[j] - height[i])
+                h = min(max(h + c * (height[k] - height[i]), bottom), top)
+                inside = min(1 - b - c, min(b, c)) >= -_NEAR
+                line[x] = max(line[x], h if inside else empty)
     return out

@@ -56,18 +56,11 @@ def hidden_parts(hits: Hits, plane: PlaneTexture) -> ndarray:
     down = np.maximum(-directions[..., 2], 1e-6)
     # from under the plane, where it is not seen: no seam
     along = np.abs(starts[..., 2]) / down
-    meets = (directions[..., 2] < 0)[..., None]
     places = starts[..., :2] + along[..., None] * directions[..., :2]
-    (sx, _, x0), (_, sy, y0) = plane.texel_from_m
-    texels = np.where(meets, places, _NOWHERE_M) * [sx, sy] + [x0, y0]
-    x, y = np.moveaxis(texels.clip(-9, 9e3).astype(np.float32), -1, 0)
-    dark = cv2.remap(
-        plane.dark[0],
-        x.copy(),
-        y.copy(),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_CONSTANT,
-    )
+    places[directions[..., 2] >= 0] = _NOWHERE_M
+    texels = places * np.diag(plane.texel_from_m) + plane.texel_from_m[:, 2]
+    at = texels.clip(-9, 9e3).astype(np.float32)
+    dark = cv2.remap(plane.dark[0], at, None, cv2.INTER_LINEAR)  # type: ignore[call-overload]
     weight = np.where(hits.face >= 0, 1, dark)
     count = directions.shape[1]
     moments = (weight[..., None] * directions).sum(1)

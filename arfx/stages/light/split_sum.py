@@ -12,6 +12,7 @@ import numpy as np
 from numpy import ndarray
 
 from arfx.core.compiled import FAST, line_kernel
+from arfx.core.vectors import cell
 
 ROUGHNESSES, COSINES = 16, 32  # entries of the table
 _MICROFACETS = 512
@@ -59,19 +60,16 @@ def table_entry(table, roughness, cosine):  # pragma: no cover - compiled
     """The two values of a table (m, n, 2) over roughness and cosine, 0..1 each, linear
     between its entries.
     """
-    one, zero = np.float32(1), np.float32(0)
-    s = min(max(roughness, zero), one) * np.float32(table.shape[0] - 1)
-    t = min(max(cosine, zero), one) * np.float32(table.shape[1] - 1)
-    i, j = (
-        np.uintp(min(int(s), table.shape[0] - 2)),
-        np.uintp(min(int(t), table.shape[1] - 2)),
-    )
-    fs, ft = s - np.float32(i), t - np.float32(j)
-    below, right = i + np.uintp(1), j + np.uintp(1)
-    w00, w01 = (one - fs) * (one - ft), (one - fs) * ft
-    w10, w11 = fs * (one - ft), fs * ft
-    a = w00 * table[i, j, 0] + w01 * table[i, right, 0]
-    a += w10 * table[below, j, 0] + w11 * table[below, right, 0]
-    b = w00 * table[i, j, 1] + w01 * table[i, right, 1]
-    b += w10 * table[below, j, 1] + w11 * table[below, right, 1]
-    return a, b
+    rows, columns = table.shape[:2]
+    i, down = cell(roughness * np.float32(rows - 1), rows)
+    j, right = cell(cosine * np.float32(columns - 1), columns)
+    at = np.uintp(i), np.uintp(j), down, right
+    return _channel(table, 0, *at), _channel(table, 1, *at)
+
+
+@line_kernel(fastmath=FAST)
+def _channel(table, c, i, j, down, right):  # pragma: no cover - compiled
+    below, beside = i + np.uintp(1), j + np.uintp(1)
+    low = table[i, j, c] + right * (table[i, beside, c] - table[i, j, c])
+    high = table[below, j, c] + right * (table[below, beside, c] - table[below, j, c])
+    return low + down * (high - low)

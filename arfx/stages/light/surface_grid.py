@@ -20,7 +20,7 @@ from arfx.core.compiled import FAST, line_kernel
 from arfx.core.layers import packed
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
-from arfx.core.vectors import placed, shifted, turned
+from arfx.core.vectors import cell, placed, shifted, turned
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -51,10 +51,8 @@ class SurfaceGrid:
     def nearest(self, points: ndarray, normals: ndarray) -> ndarray:
         """(n,) number of the node that places (n, 3) of the surface are nearest to."""
         place = (points - self.low_m) / self.pitch_m + normals
-        i, j, k = np.rint(place).astype(np.int64).T
-        z, y, x = self.shape
-        i, j, k = np.clip(i, 0, x - 1), np.clip(j, 0, y - 1), np.clip(k, 0, z - 1)
-        return np.asarray((k * y + j) * x + i)
+        node = np.rint(place).astype(np.int64)
+        return np.ravel_multi_index(node.T[::-1], self.shape, mode="clip")
 
     def read(
         self,
@@ -81,19 +79,17 @@ class SurfaceGrid:
 
         place = (points - self.low_m) / self.pitch_m + normals
         first = np.floor(place).astype(np.int64)
-        z, y, x = self.shape
         rows, shares = [], []
         for corner in np.ndindex(4, 4, 4):
             node = first + np.array(corner) - 1
             near = np.clip(1 - np.abs(place - node), 0, None).prod(1)
             far = _FAR * np.exp(-((place - node) ** 2).sum(1))
-            i, j, k = node.T
-            inside = ((node >= 0) & (node < [x, y, z])).all(1)
-            rows.append(np.where(inside, (k * y + j) * x + i, 0))
-            shares.append(np.where(inside, weights * (near + far), 0))
+            inside = ((node >= 0) & (node < self.shape[::-1])).all(1)
+            rows.append(np.ravel_multi_index(node.T[::-1], self.shape, mode="clip"))
+            shares.append(inside * weights * (near + far))
         columns = np.tile(np.arange(len(points)), 64)
         entries = np.concatenate(shares), (np.concatenate(rows), columns)
-        table = csr_array(entries, shape=(z * y * x, len(points)))
+        table = csr_array(entries, shape=(int(np.prod(self.shape)), len(points)))
         scaled = diags_array(divide(1, table.sum(1))) @ table
         scaled.data[scaled.data < _FAR] = 0
         scaled.eliminate_zeros()
@@ -113,11 +109,7 @@ def _read(
                 continue
             off = turned(turn, normal[y, x])
             u, v, w = shifted(placed(matrix, position[y, x]), one, off)
-            u = min(max(u, zero), np.float32(nx - 1.001))
-            v = min(max(v, zero), np.float32(ny - 1.001))
-            w = min(max(w, zero), np.float32(nz - 1.001))
-            iu, iv, iw = np.int64(u), np.int64(v), np.int64(w)
-            fu, fv, fw = u - np.float32(iu), v - np.float32(iv), w - np.float32(iw)
+            (iu, fu), (iv, fv), (iw, fw) = cell(u, nx), cell(v, ny), cell(w, nz)
             a = np.uintp((iw * ny + iv) * nx + iu)
             behind = a + np.uintp(nx * ny)
             for c in range(channels):

@@ -17,7 +17,7 @@ from arfx.core.numerics import normalise
 from arfx.core.parallel import parallel_map
 from arfx.core.sampling import GOLDEN_RAD, frame_about, hemisphere, r2
 from arfx.core.scene import Scene
-from arfx.core.scene_mesh import SceneMesh
+from arfx.core.scene_mesh import SceneMesh, across
 from arfx.stages.triangles import Triangles, anchor_mesh
 
 _LIFT_EXTENTS = 1e-3  # rays begin that far over the surface
@@ -44,6 +44,12 @@ class Hits:
     face: ndarray
     distance: ndarray
 
+    def places(self, of: ndarray, distance: ndarray) -> ndarray:
+        """(m, 3) at a distance (n, k) along those rays `of` (n, k) bool."""
+        directions = self.directions[of]
+        starts = np.broadcast_to(self.starts, self.directions.shape)[of]
+        return np.asarray(starts + distance[of][:, None] * directions)
+
 
 class ObjectRays:
     """The object as rays meet it, anchor axes, metres.
@@ -60,8 +66,7 @@ class ObjectRays:
         seen |= ~seen.any()
         self.mesh, self.faces, self.part = mesh, mesh.faces[seen], mesh.part[seen]
         self.corners = mesh.corners_m[seen] + mesh.centre_m
-        a, b, c = np.moveaxis(self.corners, 1, 0)
-        self.across = np.cross(b - a, c - a)
+        self.across = across(self.corners)
         self.normals = normalise(self.across)
         self.opacity = opacity[seen]
         self.metallic = np.array([_metallic(m) for m in mesh.materials])[self.part]
@@ -76,50 +81,32 @@ class ObjectRays:
         self, starts: ndarray, directions: ndarray
     ) -> tuple[ndarray, ndarray]:
         """(face (n,), -1 = none; distance (n,)) of rays (n, 3), through what lets them pass."""
-        face, distance, chance = self._first(starts, directions)
-        for _ in range(_PASSES):
-            through = np.flatnonzero((face >= 0) & (self.opacity[face] < _OPAQUE))
-            through = through[chance[through] > self.opacity[face[through]]]
-            if not len(through):
-                break
-            behind = distance[through] + self.lift_m
-            moved = starts[through] + behind[:, None] * directions[through]
-            face[through], more, chance[through] = self._first(
-                moved, directions[through]
+        face, distance = np.empty(len(starts), int), np.zeros(len(starts), np.float32)
+        going, onward = np.arange(len(starts)), 0.0
+        for _ in range(_PASSES + 1):
+            begin, along = distance[going] + onward, directions[going]
+            hits = self.triangles.first_hits(
+                starts[going] + begin[:, None] * along, along
             )
-            distance[through] = behind + more
+            met = face[going] = hits["primID"]
+            distance[going] = begin + hits["tfar"]
+            # a number in 0..1 that depends on the place that is met alone
+            u, v = (np.asarray(hits[name], float) for name in "uv")
+            place = u * 12.9898 + v * 78.233
+            chance = (np.sin(place) * 43758.5453) % 1
+            clear = self.opacity[met] < np.minimum(chance, _OPAQUE)
+            going, onward = going[(met >= 0) & clear], self.lift_m
+            if not len(going):
+                break
         return face, distance
-
-    def _first(
-        self, starts: ndarray, directions: ndarray
-    ) -> tuple[ndarray, ndarray, ndarray]:
-        """(face, distance, a number in 0..1 that depends on the place that is met alone),
-        each (n,).
-        """
-        hits = self.triangles.first_hits(starts, directions)
-        place = (
-            np.asarray(hits["u"], float) * 12.9898
-            + np.asarray(hits["v"], float) * 78.233
-        )
-        chance = (np.sin(place) * 43758.5453) % 1
-        return (
-            np.array(hits["primID"], np.int64),
-            np.array(hits["tfar"], np.float32),
-            chance,
-        )
 
     def open_fraction(self, points: ndarray, directions: ndarray) -> ndarray:
         """(n,) share of `directions` (k, 3) in which nothing stops a ray from points (n, 3)."""
-        count = len(directions)
-        out = np.zeros(len(points))
         if (self.opacity >= _OPAQUE).all():
             return self.triangles.visible_fraction(points, directions)
-        for direction in directions:
-            face, _ = self.first_hits(
-                points, np.broadcast_to(direction, points.shape)
-            )
-            out += (face < 0) / count
-        return out
+        along = (np.broadcast_to(d, points.shape) for d in directions)
+        open_ways = [self.first_hits(points, d)[0] < 0 for d in along]
+        return np.asarray(np.mean(open_ways, 0))
 
     def over(
         self, points: ndarray, normals: ndarray, count: int, turned: bool = True
@@ -134,14 +121,11 @@ class ObjectRays:
 
         def part(first: int) -> Hits:
             rows = slice(first, min(first + step, len(points)))
-            numbers = turned * np.arange(rows.start, rows.stop)
-            angle = (numbers * GOLDEN_RAD)[:, None].astype(np.float32)
-            x = np.cos(angle) * local[:, 0] - np.sin(angle) * local[:, 1]
-            y = np.sin(angle) * local[:, 0] + np.cos(angle) * local[:, 1]
-            n = normals[rows].astype(np.float32)
+            angle = turned * GOLDEN_RAD * np.arange(rows.start, rows.stop)[:, None]
+            n, x, y = normals[rows], np.cos(angle), np.sin(angle)
             u, v = frame_about(n)
-            directions = x[..., None] * u[:, None] + y[..., None] * v[:, None]
-            directions = (directions + local[:, 2:] * n[:, None]).astype(np.float32)
+            axes = np.stack([x * u + y * v, x * v - y * u, n], 1)
+            directions = local @ axes.astype(np.float32)
             starts = (points[rows] + self.lift_m * normals[rows]).astype(np.float32)[
                 :, None
             ]

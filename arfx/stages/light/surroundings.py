@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy import ndarray
@@ -57,12 +58,12 @@ _KEPT = 8  # maps, 1.3 MB each
 _SHAPE_STEPS = 64  # of a harmonic over the first
 
 
-@dataclass(frozen=True, eq=False)
-class SurroundingParts:
+class SurroundingParts(NamedTuple):
     """seen, plane and guess, in this order, each radiance of one scale: seen as a share of
     the light, the plane's as 1.
 
-    texels (3, n, 3) : `prefiltered`;  arriving, mean (3, 3) : on the plane, over the sphere
+    texels (n, 9) : `prefiltered`, side by side;  arriving, mean (3, 3) : on the plane, over the
+    sphere
     guess_where_seen (3,) : mean of the guess times how well the place is known
     whole : all is known, only its scale is not"""
 
@@ -75,13 +76,11 @@ class SurroundingParts:
     def towards(self, other: SurroundingParts, share: float) -> SurroundingParts:
         """The mixture with `share` of the other."""
         a, b = np.float32(1 - share), np.float32(share)
-        return SurroundingParts(
-            a * self.texels + b * other.texels,
-            a * self.arriving + b * other.arriving,
-            a * self.mean + b * other.mean,
-            a * self.guess_where_seen + b * other.guess_where_seen,
-            self.whole and other.whole,
-        )
+        mixed = {
+            name: a * getattr(self, name) + b * getattr(other, name)
+            for name in self._fields[:-1]
+        }
+        return SurroundingParts(**mixed, whole=self.whole and other.whole)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,25 +99,25 @@ class FrameSurroundings:
         """Filtered, as surfaces of any roughness mirror it: the sum of the parts, each level
         between the two brightnesses.
         """
-        texels = self.parts.texels
-        out = np.empty(texels.shape[1:], np.float32)
-        for rows, roughness in zip(level_slices(), ROUGHNESSES, strict=True):
-            share = lobe_width(roughness)
-            weights = ((1 - share) * self.narrow + share * self.wide).astype(
-                np.float32
-            )
-            np.einsum("pnc,pc->nc", texels[:, rows], weights, out=out[rows])
-        return environment_of(out, self.axes)
+        share = lobe_width(np.array(ROUGHNESSES))[:, None, None]
+        factors = (1 - share) * self.narrow + share * self.wide
+        levels = map(self._level, level_slices(), factors)
+        return environment_of(np.concatenate(list(levels)), self.axes)
 
     def cube(self, factors: ndarray) -> ndarray:
         """(6, n, n, 3) radiance of the parts by `narrow` or `wide`; not filtered."""
-        finest, side = self.parts.texels[:, level_slices()[0]], SIDES[0] + 2
-        texels = np.einsum("pc,pnc->nc", factors, finest).reshape(6, side, side, 3)
-        return np.asarray(texels[:, 1:-1, 1:-1])
+        side = SIDES[0] + 2
+        finest = self._level(level_slices()[0], factors).reshape(6, side, side, 3)
+        return finest[:, 1:-1, 1:-1]
 
     def cubes(self) -> tuple[ndarray, ndarray]:
         """As a mirror sees them, and as a matt surface does."""
         return self.cube(self.narrow), self.cube(self.wide)
+
+    def _level(self, rows: slice, factors: ndarray) -> ndarray:
+        """(n, 3) sums of the parts in rows of the texels."""
+        weights = (factors[..., None] * np.eye(3)).reshape(9, 3)
+        return np.asarray(self.parts.texels[rows] @ weights.astype(np.float32))
 
 
 def lobe_width(roughness: ndarray | float) -> ndarray:
@@ -199,7 +198,7 @@ def parts_of(
     facing /= facing.sum()
     solid = np.tile(solid_angles(size) / (4 * np.pi), (6, 1, 1))
     return SurroundingParts(
-        np.stack([prefiltered(cube) for cube in cubes]),
+        np.concatenate([prefiltered(cube) for cube in cubes], 1),
         np.stack([np.tensordot(facing, cube, 3) for cube in cubes]),
         np.stack([np.tensordot(solid, cube, 3) for cube in cubes]),
         np.tensordot(solid, known * guess, 3),

@@ -89,18 +89,14 @@ class Transport:
             planes.axes[:, 3].astype(float), level.side**2, 0
         )
         traced = [*rays.over(points, normals, level.rays)]
-        met = np.concatenate([(hits.face >= 0).mean(1) for hits in traced])
+        met = np.concatenate([hits.face for hits in traced]) >= 0
+        up = np.concatenate([hits.directions[..., 2] for hits in traced]) > 0
         # over the anchor's plane, as cameras see a surfel, which counts by that
-        seen = np.concatenate(
-            [
-                ((hits.face < 0) & (hits.directions[..., 2] > 0)).mean(1)
-                for hits in traced
-            ]
-        )
+        seen = (up & ~met).mean(1)
         weights = self.surfels.area * np.maximum(seen, _LEAST_SEEN)
         self.grid = SurfaceGrid(points, normals, weights, level.cells)
         self._node_count = int(np.prod(self.grid.shape))
-        self.occluded = self.grid.nodes(met[:, None])
+        self.occluded = self.grid.nodes(met.mean(1)[:, None])
         self.colours = self.grid.nodes(self.surfels.albedo)
         everything = self._node_count + len(self.texels) + 6 * SKY * SKY
         row, met, *_ = self._met(traced)
@@ -142,13 +138,10 @@ class Transport:
 
     def _nodes_met(self, hits: Hits, nearer: ndarray) -> ndarray:
         """Node of the grid beside each place of the object that rays meet."""
-        directions = hits.directions[nearer]
-        starts = np.broadcast_to(hits.starts, hits.directions.shape)[nearer]
         normals = self.rays.normals[hits.face[nearer]]
-        facing = np.where((normals * directions).sum(1, keepdims=True) > 0, -1.0, 1.0)
-        return self.grid.nearest(
-            starts + hits.distance[nearer][:, None] * directions, facing * normals
-        )
+        facing = (normals * hits.directions[nearer]).sum(1, keepdims=True)
+        outer = np.where(facing > 0, -1.0, 1.0) * normals
+        return self.grid.nearest(hits.places(nearer, hits.distance), outer)
 
     def _beyond(self, hits: Hits) -> tuple[ndarray, ndarray]:
         """(column (n, k), distance (n, k)) of the plane or sky that rays meet without the
@@ -157,12 +150,10 @@ class Transport:
         plane, distance = self.planes.first_met(hits.starts, hits.directions)
         column = self._node_count + len(self.texels) + sky_texels(hits.directions)
         met = plane >= 0
-        starts = np.broadcast_to(hits.starts, hits.directions.shape)[met]
-        places = starts + distance[met][:, None] * hits.directions[met]
-        on_plane = np.clip(self.planes.texture_places(places, plane[met]), -1, 1)
+        places = self.planes.texture_places(hits.places(met, distance), plane[met])
         # the outermost texel beyond a texture
         side = self.level.side
-        across = (warped(on_plane) + 1) / 2 * side
+        across = (warped(np.clip(places, -1, 1)) + 1) / 2 * side
         x, y = np.minimum(across, side - 1).astype(int).T
         column[met] = self._node_count + (plane[met] * side + y) * side + x
         return column, distance
@@ -245,9 +236,8 @@ def sky_texels(directions: ndarray) -> ndarray:
     """(...) number of the texel of a cube of SKY texels a side that directions (..., 3)
     point to.
     """
-    face, u, v = on_cube(directions.reshape(-1, 3))
-    column = np.minimum((u + 1) / 2 * SKY, SKY - 1).astype(int)
-    row = np.minimum((v + 1) / 2 * SKY, SKY - 1).astype(int)
+    face, *across = on_cube(directions.reshape(-1, 3))
+    column, row = np.minimum((np.stack(across) + 1) / 2 * SKY, SKY - 1).astype(int)
     return np.asarray((face * SKY + row) * SKY + column).reshape(
         directions.shape[:-1]
     )

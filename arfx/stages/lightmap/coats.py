@@ -20,8 +20,7 @@ from arfx.stages.lightmap.shading import (
     SMOOTHEST,
     Lights,
     Surface,
-    ggx_reflection,
-    half_vector,
+    lamp_reflection,
     mirrored_share,
     soft_radiance,
     towards_eye,
@@ -156,16 +155,13 @@ def add_clear_coat(
             around = radiance(environment, mirrored, rough)
             for c in range(3):
                 light[c] = share * around[c]
-            alpha2 = rough * rough * rough * rough
             for k in range(lights.towards.shape[0]):
                 n_l = dot(normal, lights.towards[k])
                 if n_l > zero:
                     v_l = dot(view, lights.towards[k])
-                    n_h, away = half_vector(facing, n_l, v_l)
-                    fresnel = _F0 + (one - _F0) * away * away * away * away * away
-                    lobe = ggx_reflection(
-                        alpha2, alpha2 + lights.widths[k], n_h, n_v, n_l
-                    )
+                    width = lights.widths[k]
+                    lobe, away = lamp_reflection(rough, width, facing, n_l, v_l)
+                    fresnel = _F0 + (one - _F0) * away
                     lobe *= amount * fresnel * lights.visibility[k, y, x]
                     for c in range(3):
                         light[c] += lights.rgb[k, c] * lobe

@@ -18,7 +18,7 @@ from arfx.core.compiled import FAST, line_kernel
 from arfx.core.layers import packed
 from arfx.core.pose import Pose
 from arfx.core.sampling import disc, frame_about
-from arfx.core.vectors import placed, shifted, turned
+from arfx.core.vectors import placed, scaled, shifted, turned
 from arfx.stages.light.beams import Beam, disc_directions
 from arfx.stages.light.caster import Caster
 from arfx.stages.light.silhouette import height_map
@@ -45,13 +45,13 @@ FIRST_EVERY = 8  # every so manieth ray is sent first, the rest where those disa
 
 class DepthMap(NamedTuple):
     """depth (n, n) float32 : nearest to the light, in texels along it;  matrix (3, 4) :
-    column, row and depth of a position in
-    metres, unit (3, 3) : their directions;  spread : penumbra radius per depth
+    column, row and depth of a position in metres
+    pitch : metres a texel;  spread : penumbra radius per depth
     lift, slope : texels, and slope by which facets may deviate;  top : least depth"""
 
     depth: ndarray
     matrix: ndarray
-    unit: ndarray
+    pitch: np.float32
     spread: np.float32
     lift: np.float32
     slope: np.float32
@@ -67,17 +67,14 @@ def depth_map(caster: Caster, beam: Beam) -> DepthMap:
     pitch = max(float((high - low).max()) / (MAP_TEXELS - 5), 1e-9)
     origin = (low + high) / 2 - pitch * (MAP_TEXELS - 1) / 2
     matrix = np.column_stack([axes, [-origin[0], -origin[1], 0.0]]) / pitch
-    u, v, h = np.ascontiguousarray(
-        (caster.vertices @ matrix[:, :3].T + matrix[:, 3]).T
-    )
+    u, v, h = np.ascontiguousarray(((p - [*origin, 0.0]) / pitch).T)
     depth = height_map(u, v, h, caster.faces, MAP_TEXELS, MAP_TEXELS, _F(_EMPTY))
     spread = np.tan(np.radians(beam.size_deg / 2))
     lift = _LIFT_TEXELS + _LIFT_SAGS * caster.sag_m / pitch
     return DepthMap(
         depth,
         matrix,
-        axes,
-        *(_F(a) for a in (spread, lift, caster.facet_slope, depth.max())),
+        *(_F(a) for a in (pitch, spread, lift, caster.facet_slope, depth.max())),
     )
 
 
@@ -92,11 +89,7 @@ def visibility_by_map(
     covered or turned away.
     """
     matrix = shadow_map.matrix @ anchor_from_world.matrix
-    turn = matrix[:, :3]
-    seen = shadow_map._replace(
-        matrix=matrix.astype(np.float32),
-        unit=(turn / np.linalg.norm(turn[0])).astype(np.float32),
-    )
+    seen = shadow_map._replace(matrix=matrix.astype(np.float32))
     out = np.ones(coverage.shape, np.float32)
     search, taps = (
         packed(disc(n).T.astype(np.float32)) for n in (BLOCKER_TAPS, LIGHT_TAPS)
@@ -146,7 +139,9 @@ def _percentage_closer(
         for x in range(out.shape[1]):
             if not coverage[y, x] > zero:
                 continue
-            across, down, facing = turned(seen.unit, normal[y, x])
+            across, down, facing = scaled(
+                seen.pitch, turned(seen.matrix, normal[y, x])
+            )
             if not facing > zero:
                 continue
             facing = max(facing, _F(0.15))

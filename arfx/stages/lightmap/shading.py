@@ -17,6 +17,7 @@ import numpy as np
 from numpy import ndarray
 
 from arfx.core.compiled import FAST, line_kernel
+from arfx.core.light import HARMONIC_FACTORS
 from arfx.core.vectors import dot, minus, scaled, shifted, unit, vector
 from arfx.stages.light.environment import Environment, radiance
 from arfx.stages.light.split_sum import table_entry
@@ -24,6 +25,7 @@ from arfx.stages.light.split_sum import table_entry
 _F = np.float32
 SMOOTHEST = 0.05  # roughness: a smoother lobe lies between two pixels
 _TINY = _F(1e-12)
+_LEAST_FACING = _F(1e-3)  # cosine of the normal and the eye
 
 
 class Surface(NamedTuple):
@@ -56,10 +58,7 @@ def harmonic_terms(soft: ndarray, ambient: ndarray) -> ndarray:
     out = np.zeros((9, 3))
     out[0] = ambient
     if len(soft):
-        first, second = 0.4886025119029199, 1.0925484305920792
-        scale = [0.28209479177387814, first, first, first, second, second]
-        scale += [0.31539156525252005, second, second / 2]
-        out[:] = soft * np.array(scale)[:, None]
+        out[:] = soft * HARMONIC_FACTORS[:, None]
     return out.astype(np.float32)
 
 
@@ -70,18 +69,25 @@ def highlight_width(size_deg: ndarray) -> ndarray:
 
 
 @line_kernel(fastmath=FAST)
-def ggx_reflection(alpha2, wide, n_h, n_v, n_l):  # pragma: no cover - compiled
-    """What a lamp shows by microfacets, without Fresnel's factor, over the radiance of a
-    white surface that faces it.
+def lamp_reflection(rough, width, facing, n_l, v_l):  # pragma: no cover - compiled
+    """(what a lamp shows by microfacets, without Fresnel's factor, over the radiance of a white
+    surface that faces it; how much of what is missing there of the whole a grazing ray adds).
 
-    alpha2 : roughness^4;  wide : the same with the lamp's own size;  n_h, n_v, n_l :
-    cosines of half-vector, eye and lamp
+    width : of `highlight_width`;  facing, n_l, v_l : cosines of the normal and the eye, the normal
+    and the lamp, the eye and the lamp
     Source: Walter et al. 2007 (GGX), Heitz 2014 (height-correlated shadowing)."""
-    one = _F(1)
+    half, one = _F(0.5), _F(1)
+    n_v = max(facing, _LEAST_FACING)
+    v_h = np.sqrt(max(half * (one + v_l), _TINY))
+    n_h = min(max(half * (facing + n_l) / v_h, _F(0)), one)
+    alpha2 = rough * rough * rough * rough
+    wide = alpha2 + width
     spread = n_h * n_h * (wide - one) + one
     eye = n_l * np.sqrt(n_v * n_v * (one - alpha2) + alpha2)
     lamp = n_v * np.sqrt(n_l * n_l * (one - alpha2) + alpha2)
-    return _F(0.5) * n_l * wide / max(spread * spread * (eye + lamp), _TINY)
+    lobe = half * n_l * wide / max(spread * spread * (eye + lamp), _TINY)
+    away = one - min(v_h, one)
+    return lobe, away * away * away * away * away
 
 
 @line_kernel(fastmath=FAST)
@@ -130,15 +136,6 @@ def towards_eye(surface: Surface, eye, y, x):  # pragma: no cover - compiled
     return vector(surface.normal[y, x]), unit(minus(eye, surface.position[y, x]))
 
 
-@line_kernel(fastmath=FAST, inline="always")
-def half_vector(n_v, n_l, v_l):  # pragma: no cover - compiled
-    """(its cosine to the normal, 1 less its cosine to eye and lamp), from cosines of the
-    normal, the eye and the lamp to each other."""
-    half, one = _F(0.5), _F(1)
-    v_h = np.sqrt(max(half * (one + v_l), _TINY))
-    return min(max(half * (n_v + n_l) / v_h, _F(0)), one), one - min(v_h, one)
-
-
 def shade(
     surface: Surface,
     eye: ndarray,
@@ -180,7 +177,7 @@ def _shade(
                 continue
             normal, view = towards_eye(surface, eye, y, x)
             facing = dot(normal, view)
-            n_v = max(facing, _F(1e-3))
+            n_v = max(facing, _LEAST_FACING)
             metal, rough, specular = (
                 material[y, x, 0],
                 material[y, x, 1],
@@ -213,15 +210,16 @@ def _shade(
                         * (one + colour[c] * lost)
                     )
                     pixel[c] += share * around[c] * ((one - metal) * coat + mirrored)
-            alpha2 = rough * rough * rough * rough
             for k in range(towards.shape[0]):
                 n_l = dot(normal, towards[k])
                 arrives = visibility[k, y, x]
                 if n_l <= zero or arrives <= zero:
                     continue
-                n_h, away = half_vector(facing, n_l, dot(view, towards[k]))
-                fresnel = edge * away * away * away * away * away
-                lobe = ggx_reflection(alpha2, alpha2 + widths[k], n_h, n_v, n_l)
+                v_l = dot(view, towards[k])
+                lobe, grazing_part = lamp_reflection(
+                    rough, widths[k], facing, n_l, v_l
+                )
+                fresnel = edge * grazing_part
                 diffuse = matt * n_l
                 for c in range(3):
                     f0 = base + colour[c] * metal

@@ -11,7 +11,7 @@ Leaves out: other real surfaces, shadows of unlike opacity, light from the plane
 object, caustics.
 Source: docs/methods/light.md#shadow, docs/methods/light.md#shading."""
 
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar
@@ -26,7 +26,7 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.settings import Fraction, Settings, setting
 from arfx.core.stage import Demand, Stage, View
-from arfx.stages.light.beams import Beam, FrameLight, frame_light
+from arfx.stages.light.beams import QUANTUM, Beam, FrameLight, frame_light
 from arfx.stages.light.bumps import share_above_surface, smooth_normal
 from arfx.stages.light.plane_lookup import PlaneTexture, PlaneView, shadow_ratio
 from arfx.stages.light.plane_shadow import (
@@ -38,7 +38,6 @@ from arfx.stages.light.plane_shadow import (
 )
 from arfx.stages.light.region import (
     ShadowRegion,
-    darkest,
     plane_rect,
     shadow_region,
     unevenness,
@@ -65,10 +64,6 @@ from arfx.stages.lightmap.shading import (
     shade,
 )
 from arfx.stages.viewing import direction_grid
-
-_BEAM_STEP = np.radians(
-    0.02
-)  # lights nearer to each other than this cast the shadow that was made for the first
 
 # times `faint`: what is left of it, faded, is .0036 of the light, half a level of a grey
 # plane
@@ -137,7 +132,7 @@ class Lightmap(Stage):
         lights = [li for li in facts.light.lights if any(c > 0 for c in li.rgb)]
         key = tuple(
             (
-                *np.round(li.unit / _BEAM_STEP).astype(int).tolist(),
+                *np.round(li.unit / QUANTUM).astype(int).tolist(),
                 round(li.angular_size_deg, 1),
             )
             for li in lights
@@ -169,17 +164,20 @@ class Lightmap(Stage):
         if now.rect.empty:
             return neutral(Layer.VIRTUAL, now.rect)
         surface = Surface(*(packed(now[Layer(name)]) for name in Surface._fields))
-        reaching = [k for k in range(len(light.beams)) if light.on_object[k] > 0]
+        reaching = np.flatnonzero(light.on_object)
+        towards = light.towards[reaching].astype(np.float32)
         smooth = smooth_normal(surface.normal, now)
         even = surface._replace(normal=smooth)
         left = self._visibilities(even, view, prepared, light, reaching)
         if smooth is not surface.normal:
-            turned = smooth @ light.towards[reaching].astype(np.float32).T
             left[0] *= share_above_surface(surface.normal, smooth)
-            left[1:] *= np.moveaxis(turned, -1, 0) > 0
+            left[1:] *= np.moveaxis(smooth @ towards.T, -1, 0) > 0
         if not now.extent(Layer.OCCLUSION).empty:
             left[0] = np.minimum(left[0], now[Layer.OCCLUSION])
-        return self.shaded(surface, left[0], left[1:], reaching, light, view, now)
+        rgb = (light.rgb * light.on_object[:, None])[reaching].astype(np.float32)
+        widths = highlight_width(light.sizes_deg[reaching])
+        lights = Lights(towards, rgb, widths, left[1:], left[0])
+        return self.shaded(surface, lights, light, view, now)
 
     def _visibilities(
         self,
@@ -187,7 +185,7 @@ class Lightmap(Stage):
         view: View,
         prepared: Prepared,
         light: FrameLight,
-        reaching: Sequence[int],
+        reaching: ndarray,
     ) -> ndarray:
         """(1 + k, h, w) float32: shares of the soft light, and of the lights `reaching`, that
         the object leaves itself."""
@@ -227,21 +225,14 @@ class Lightmap(Stage):
     def shaded(
         self,
         surface: Surface,
-        soft_visibility: ndarray,
-        visibility: ndarray,
-        reaching: Sequence[int],
+        lights: Lights,
         light: FrameLight,
         view: View,
         now: Layers,
     ) -> ndarray:
-        """VIRTUAL. soft_visibility (h, w), visibility (k, h, w) : of the soft light and of
-        each of the lights `reaching`, past
-        the object;  now : the layers of the surface's rectangle, for its coats"""
+        """VIRTUAL. lights : those of `light` that reach the object, and what it leaves of
+        them;  now : the layers of the surface's rectangle, for its coats"""
         f32 = np.float32
-        rgb = (light.rgb * light.on_object[:, None])[reaching].astype(f32)
-        widths = highlight_width(light.sizes_deg[reaching])
-        towards = light.towards[reaching].astype(f32)
-        lights = Lights(towards, rgb, widths, visibility, soft_visibility)
         soft_share = f32(self.soft)
         soft = soft_share * harmonic_terms(light.soft, light.ambient)
         environment = frame_environment(view.facts, view.scene, view.light)
@@ -260,11 +251,9 @@ class Lightmap(Stage):
     def _shadow(self, view: View, prepared: Prepared, light: FrameLight) -> Pixels:
         scene = view.scene
         anchor_from_camera = (view.pose @ scene.world_from_anchor).inverse()
-        strength = self.params.shadow_strength * prepared.region.caster.opacity
-        if (
-            anchor_from_camera.translation_m[2] <= 0
-            or strength * darkest(light, scene) <= self._shows_from
-        ):
+        strength, caster = self.params.shadow_strength, prepared.region.caster
+        most = strength * prepared.region.darkest(light)
+        if anchor_from_camera.translation_m[2] <= 0 or most <= self._shows_from:
             return Pixels(view.out, neutral(Layer.SHADOW, view.out))
         memo = view.memo.of_light
 
@@ -279,8 +268,7 @@ class Lightmap(Stage):
             )
             return kept
 
-        shape, caster = light.shape, prepared.region.caster
-        level = PLANE_LEVELS[view.level]
+        shape, level = light.shape, PLANE_LEVELS[view.level]
         soft = textures(
             shape, lambda: (under_light(p, shape) for p in prepared.soft), "soft"
         )
@@ -301,7 +289,14 @@ class Lightmap(Stage):
         seen = PlaneView(view.out, prepared.grid, anchor_from_camera)
         shares = np.reshape(weights, (-1, 3))
         ratio = shadow_ratio(
-            seen, soft, lamps, shares, ambient, blocked, self.faint, strength
+            seen,
+            soft,
+            lamps,
+            shares,
+            ambient,
+            blocked,
+            self.faint,
+            strength * caster.opacity,
         )
         return Pixels(view.out, ratio)
 
@@ -315,11 +310,7 @@ class Lightmap(Stage):
         )
         if eye[2] <= 0:
             return EMPTY, "no shadow: plane seen from behind"
-        most = (
-            self.params.shadow_strength
-            * region.caster.opacity
-            * darkest(light, scene)
-        )
+        most = self.params.shadow_strength * region.darkest(light)
         light_of_plane = "% of the plane's light"
         if most <= least:
             return (

@@ -52,29 +52,26 @@ def choose_backend(wanted: str = "auto") -> Backend:
             f"unknown raster back end {wanted!r}",
             "one of auto, " + ", ".join(BACKENDS),
         )
-    if wanted == "rays":
-        return _ray_backend("asked for")
+    why = "asked for"
     if wanted == "auto" and not _graphics_card():
-        return _ray_backend("there is no graphics card here")
-    from arfx.stages.raster.gl_context import open_context
+        why = "there is no graphics card here"
+    elif wanted != "rays":
+        from arfx.stages.raster.gl_context import open_context
 
-    try:
-        context = open_context()
-    except RenderError as e:
-        if wanted == "pyrender":
-            raise
-        return _ray_backend(e.message)
-    if wanted == "auto" and context.software:
-        return _ray_backend("OpenGL runs in software here")
-    from arfx.stages.raster.gl import GlFaces
+        try:
+            software = open_context().software
+        except RenderError as e:
+            if wanted == "pyrender":
+                raise
+            why = e.message
+        else:
+            if wanted == "pyrender" or not software:
+                from arfx.stages.raster.gl import GlFaces
 
-    why = (
-        "asked for" if wanted == "pyrender" else "OpenGL runs on a graphics card here"
-    )
-    return Backend("pyrender", GlFaces, GL_SAMPLES, why)
-
-
-def _ray_backend(why: str) -> Backend:
+                if wanted == "auto":
+                    why = "OpenGL runs on a graphics card here"
+                return Backend("pyrender", GlFaces, GL_SAMPLES, why)
+            why = "OpenGL runs in software here"
     from arfx.stages.raster.visible import RayFaces
 
     return Backend("rays", RayFaces, RAY_SAMPLES, why)

@@ -8,8 +8,7 @@ is cut away. Any thread may ask, several at once too: drawing alone waits for th
 thread (gl_draw.py)."""
 
 import weakref
-from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy import ndarray
@@ -17,7 +16,6 @@ from numpy import ndarray
 from arfx.core.camera import Camera
 from arfx.core.rect import Rect
 from arfx.core.scene_mesh import SceneMesh
-from arfx.errors import RenderError
 from arfx.stages.raster.gl_context import discard, on_gl_thread, open_context
 from arfx.stages.raster.gl_draw import Drawing
 from arfx.stages.raster.record import NearestFaces, View, bounds_of
@@ -27,7 +25,6 @@ NEAR_M = 1e-3
 # Well below the 16384 of Mesa's drivers, beyond which every later draw fails too.
 MAX_SIDE_PX = 8192
 MAX_AREA_PX = 24_000_000
-T = TypeVar("T")
 
 
 class Picture(NamedTuple):
@@ -72,7 +69,7 @@ class GlFaces:
         offset = (np.arange(self._side) + 0.5) / self._side - 0.5
         self.offsets = np.stack(np.meshgrid(offset, offset), -1).reshape(-1, 2)
         self.context = open_context()
-        self.drawing = _on_gl_thread(Drawing, self.context, mesh)
+        self.drawing = on_gl_thread(Drawing, self.context, mesh)
         # the driver takes all back when the process ends
         weakref.finalize(self, discard, self.drawing.free).atexit = False
 
@@ -110,9 +107,7 @@ class GlFaces:
             view.points[0] - view.rotation @ self._mesh.vertices[0]
         )
         size = picture.width, picture.height
-        return _on_gl_thread(
-            self.drawing, to_gl @ camera_from_mesh, projection, *size
-        )
+        return on_gl_thread(self.drawing, to_gl @ camera_from_mesh, projection, *size)
 
     def _picture(self, view: View) -> Picture:
         """The ideal camera's; empty where no direction is known."""
@@ -134,16 +129,3 @@ class GlFaces:
         return Picture(
             scale, centre - np.floor(low * scale + centre), int(width), int(height)
         )
-
-
-def _on_gl_thread(work: Callable[..., T], *args: Any) -> T:
-    """work(*args) on the OpenGL thread. Raises RenderError with what the driver said."""
-    from OpenGL.error import Error
-
-    try:
-        return on_gl_thread(work, *args)
-    except Error as e:
-        raise RenderError(
-            f"OpenGL failed: {e!r}",
-            "the rays back end needs no OpenGL: --set raster.backend=rays",
-        ) from e

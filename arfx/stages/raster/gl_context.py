@@ -55,7 +55,7 @@ _pid = os.getpid()
 
 def on_gl_thread(work: Callable[..., T], *args: Any) -> T:
     """work(*args) on the thread that has the context; returns what it returns, raises what
-    it raises.
+    it raises, and RenderError with what the driver said.
 
     Not to be called from that thread. Raises RenderError in a forked process, which has
     neither thread nor context."""
@@ -64,7 +64,15 @@ def on_gl_thread(work: Callable[..., T], *args: Any) -> T:
             "OpenGL was carried into a forked process",
             "start workers with the spawn method",
         )
-    return _thread.submit(_free_then, work, args).result()
+    try:
+        return _thread.submit(_free_then, work, args).result()
+    except Exception as e:
+        if type(e).__module__ != "OpenGL.error":
+            raise
+        raise RenderError(
+            f"OpenGL failed: {e!r}",
+            "the rays back end needs no OpenGL: --set raster.backend=rays",
+        ) from e
 
 
 def discard(free: Callable[[], None]) -> None:

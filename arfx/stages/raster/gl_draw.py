@@ -19,24 +19,19 @@ _SHADERS = str(Path(__file__).with_name("shaders"))
 
 
 class Drawing:
-    """The faces of a mesh as two primitives: seen from the front alone, and from both sides."""
+    """The faces of a mesh, first those that are seen from the front alone, then the others."""
 
     def __init__(self, context: GlContext, mesh: SceneMesh) -> None:
         from pyrender.shader_program import ShaderProgramCache
 
-        self.order = np.argsort(~mesh.hidden_behind, kind="stable")
-        one_sided = int(mesh.hidden_behind.sum())
-        self.primitives = []
-        parts = np.split(self.order, [one_sided])
-        for first, faces in zip((0, one_sided), parts, strict=True):
-            if len(faces):
-                primitive = context.pyrender.Primitive(
-                    positions=mesh.vertices.astype(np.float32),
-                    indices=mesh.faces[faces].astype(np.uint32),
-                )
-                primitive._add_to_context()
-                self.primitives.append((primitive, first, 3 * len(faces)))
-        self.one_sided = one_sided
+        order = np.argsort(~mesh.hidden_behind, kind="stable")
+        self.faces = np.append(order, -1).astype(np.int32)
+        self.one_sided = int(mesh.hidden_behind.sum())
+        self.primitive = context.pyrender.Primitive(
+            positions=mesh.vertices.astype(np.float32),
+            indices=mesh.faces[order].astype(np.uint32),
+        )
+        self.primitive._add_to_context()
         self.buffer = _Buffer()
         self.programs = ShaderProgramCache(shader_dir=_SHADERS)
 
@@ -53,8 +48,8 @@ class Drawing:
         GL.glDepthMask(GL.GL_TRUE)
         GL.glDepthFunc(GL.GL_LESS)
         GL.glDisable(GL.GL_BLEND)
+        GL.glDisable(GL.GL_CULL_FACE)
         GL.glPolygonMode(GL.GL_FRONT_AND_BACK, GL.GL_FILL)
-        GL.glCullFace(GL.GL_BACK)
         GL.glClear(GL.GL_DEPTH_BUFFER_BIT)
         GL.glClearBufferiv(GL.GL_COLOR, 0, np.full(4, -1, np.int32))
         program = self.programs.get_program("faces.vert", "faces.frag")
@@ -63,26 +58,23 @@ class Drawing:
         program._bind()
         program.set_uniform("V", view)
         program.set_uniform("P", projection)
-        for primitive, first, count in self.primitives:
-            cull = GL.glEnable if first < self.one_sided else GL.glDisable
-            cull(GL.GL_CULL_FACE)
-            program.set_uniform("first", first)
-            primitive._bind()
-            GL.glDrawElements(
-                GL.GL_TRIANGLES, count, GL.GL_UNSIGNED_INT, ctypes.c_void_p(0)
-            )
-            primitive._unbind()
+        program.set_uniform("one_sided", self.one_sided)
+        self.primitive._bind()
+        count = 3 * (len(self.faces) - 1)
+        GL.glDrawElements(
+            GL.GL_TRIANGLES, count, GL.GL_UNSIGNED_INT, ctypes.c_void_p(0)
+        )
+        self.primitive._unbind()
         program._unbind()
         drawn = np.empty(height * width, np.int32)
         GL.glReadBuffer(GL.GL_COLOR_ATTACHMENT0)
         GL.glReadPixels(0, 0, width, height, GL.GL_RED_INTEGER, GL.GL_INT, drawn)
-        return np.where(drawn >= 0, self.order.astype(np.int32)[drawn], np.int32(-1))
+        return self.faces[drawn]
 
     def free(self) -> None:
         self.buffer.free()
         self.programs.clear()
-        for primitive, _, _ in self.primitives:
-            primitive._remove_from_context()
+        self.primitive._remove_from_context()
 
 
 class _Buffer:

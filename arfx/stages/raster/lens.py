@@ -47,29 +47,25 @@ class LensTable:
         c = self.camera
         if not c.distorted:
             return 0.0
-        x = np.linspace(-STEP_PX, c.width + STEP_PX, 33)
-        y = np.linspace(-STEP_PX, c.height + STEP_PX, 33)
-        ideal = c.normalised(np.stack(np.meshgrid(x, y), -1)) * [c.fx, c.fy]
+        x, y = (np.linspace(-STEP_PX, n + STEP_PX, 33) for n in (c.width, c.height))
+        ideal = self._exact(y, x) * [c.fx, c.fy]
         if not np.isfinite(ideal).all():
             return np.inf
-        steps = (x[1] - x[0]) ** 2, (y[1] - y[0]) ** 2
-        bends = [
-            np.abs(np.diff(ideal, 2, axis=1 - k)).max() / steps[k] for k in range(2)
-        ]
-        mixed = np.abs(np.diff(np.diff(ideal, axis=0), axis=1)).max() / np.sqrt(
-            steps[0] * steps[1]
-        )
-        return float(sum(bends) + 2 * mixed)
+        across = np.gradient(ideal, x, axis=1)
+        bends = [np.gradient(across, x, axis=1), 2 * np.gradient(across, y, axis=0)]
+        bends.append(np.gradient(np.gradient(ideal, y, axis=0), y, axis=0))
+        return float(sum(np.abs(bend).max() for bend in bends))
 
     def at(self, rows: ndarray, columns: ndarray) -> ndarray:
         """(len(rows), len(columns), 2) float64 directions at fractional pixel positions,
         within the margin.
         """
-        c = self.camera
         if self._splines is not None:
             return np.stack([s(rows, columns) for s in self._splines], -1)
-        x, y = np.meshgrid(columns, rows)
-        return c.normalised(np.stack([x, y], -1))
+        return self._exact(rows, columns)
+
+    def _exact(self, rows: ndarray, columns: ndarray) -> ndarray:
+        return self.camera.normalised(np.stack(np.meshgrid(columns, rows), -1))
 
     @cached_property
     def _splines(self) -> tuple | None:
@@ -78,9 +74,9 @@ class LensTable:
         c = self.camera
         if not c.distorted:
             return None
-        x = np.arange(-2 * STEP_PX, c.width + 2 * STEP_PX + 1, STEP_PX, dtype=float)
-        y = np.arange(-2 * STEP_PX, c.height + 2 * STEP_PX + 1, STEP_PX, dtype=float)
-        nodes = c.normalised(np.stack(np.meshgrid(x, y), -1))
+        out = 2.0 * STEP_PX
+        x, y = (np.arange(-out, n + out + 1, STEP_PX) for n in (c.width, c.height))
+        nodes = self._exact(y, x)
         if not np.isfinite(nodes).all():
             return None
         return tuple(RectBivariateSpline(y, x, nodes[..., k]) for k in range(2))

@@ -116,22 +116,17 @@ class Renderer:
     ) -> None:
         view = self._view(rect, camera_from_world)
         # One pixel more on each side: a pixel's neighbours do not depend on the rectangle.
-        wide = rect.pad(1)
+        wide, inner = rect.pad(1), np.s_[1:-1, 1:-1]
         nearest = self.faces.frame(view, wide)
-        wide_x, wide_y = (
-            np.ascontiguousarray(a[1:-1, 1:-1]) for a in (view.x, view.y)
-        )
-        wide_face, wide_depth = nearest(wide_x, wide_y)
+        x, y = (np.ascontiguousarray(a[inner]) for a in (view.x, view.y))
+        seen = nearest(x, y)
+        centres = [a[inner].ravel() for a in (*seen, x, y)]
+        face, _, x, y = centres
         if self.everywhere:
             edge = np.ones(rect.area, bool)
         else:
-            seen = wide_face, wide_depth
             mask = edge_pixels(self.mesh, self.camera, view, wide, *seen)
-            edge = mask[1:-1, 1:-1].ravel()
-        centres = [
-            a[1:-1, 1:-1].ravel() for a in (wide_face, wide_depth, wide_x, wide_y)
-        ]
-        face, _, x, y = centres
+            edge = mask[inner].ravel()
         if (
             self.layered
         ):  # how much of a cut-out a pixel shows, its centre does not tell
@@ -151,9 +146,8 @@ class Renderer:
             place = row + MARGIN, column + MARGIN
             x, y = (_around(a, *place, self.offsets) for a in (view.x, view.y))
             number = (row + 1) * wide.width + column + 1
-            found = nearest(x, y, number)
-            of_centre = [a[pixels] for a in centres]
-            self._sampled(pixels, of_centre, (*found, x, y), view, out)
+            samples = (*nearest(x, y, number), x, y)
+            self._sampled(pixels, [a[pixels] for a in centres], samples, view, out)
 
     def _sampled(
         self,
@@ -167,28 +161,20 @@ class Renderer:
         that meets anything, else those of the sample next to it that does.
 
         centre : face, depth, x, y (n,);  samples : the same (n, s), the nearest first"""
-        count, most = samples[0].shape
+        face, depth, x, y = map(np.column_stack, zip(centre, samples, strict=True))
         if self.layered or self.everywhere:
-            joined = (
-                np.column_stack(pair) for pair in zip(centre, samples, strict=True)
-            )
-            face, _, x, y = (a.ravel() for a in joined)
-            share = np.full((count, 1 + most), 1 / most, np.float32)
+            share = np.full(face.shape, 1 / len(self.offsets), np.float32)
             share[:, 0] = 0
-            number = np.repeat(np.arange(count), 1 + most)
-            rays = rays_through(number, face, x, y, share.ravel())
-            sums = self._follow(rays, count, view)
-            part, depth = (
-                rays.part.reshape(share.shape),
-                rays.depth.reshape(share.shape),
-            )
+            number = np.repeat(np.arange(len(face)), face.shape[1])
+            rays = rays_through(number, *(a.ravel() for a in (face, x, y, share)))
         else:
-            face, _, x, y = samples
-            rays = rays_through(*merged_by_face(face, x, y))
-            sums = self._follow(rays, count, view)
-            face, depth = (np.column_stack([centre[k], samples[k]]) for k in range(2))
+            rays = rays_through(*merged_by_face(samples[0], *samples[2:]))
+        sums = self._follow(rays, len(face), view)
+        if self.layered:
+            part, depth = (a.reshape(face.shape) for a in (rays.part, rays.depth))
+        else:
             part = np.where(face >= 0, self.mesh.part[face], np.int32(-1))
-        first = np.arange(count), (part >= 0).argmax(1)
+        first = np.arange(len(face)), (part >= 0).argmax(1)
         self._write(pixels, part[first], depth[first], sums, view, out)
 
     def _write(

@@ -10,44 +10,33 @@ from arfx.core.compiled import FAST, kernel, line_kernel
 from arfx.core.vectors import cross, dot, scaled, shifted, vector
 from arfx.stages.raster.record import (
     ALBEDO,
-    COAT,
     COVERED,
     EMISSIVE,
     MARGIN,
     MATERIAL,
     MET,
     NORMAL,
-    OCCLUSION,
     PLAIN_COLUMNS,
-    SHEEN,
     SMOOTH,
     GBuffer,
     Rays,
     View,
 )
 from arfx.stages.raster.tables import (
-    BASE,
-    BASE_SLOT,
-    COAT_FACTORS,
-    COAT_ROUGHNESS_SLOT,
-    COAT_SLOT,
     CUT_OUT,
     CUTOFF,
-    EMISSION,
-    EMISSIVE_SLOT,
-    METAL_SLOT,
-    METALLIC,
+    FACTORS,
     MODE,
     NORMAL_SCALE,
     NORMAL_SLOT,
     OCCLUSION_SLOT,
     OCCLUSION_STRENGTH,
-    SHEEN_SLOT,
     TWO_SIDED,
     SurfaceTables,
 )
 from arfx.stages.raster.texture_filter import filtered
-from arfx.stages.raster.visible import planes_of, vertices_of
+from arfx.stages.raster.visible import planes_of
+from arfx.stages.triangles import vertices_of
 
 _F = np.float32
 # Transparency below half an 8-bit step of the opacity is none.
@@ -100,19 +89,20 @@ def _hit(f, x, y, view, mesh):  # pragma: no cover - compiled
 
 
 @kernel(inline="always")
-def _along(uv, corners, first, growth, laid, side):  # pragma: no cover - compiled
-    """(2,) how a place on a texture moves over a sample as the corners' weights grow.
+def _laid(uv, n, column, laid):  # pragma: no cover - compiled
+    """(2,) where a vertex lies on a texture. column : of `uv`;  laid : (2, 3), of the texture"""
+    at = uv[n, column], uv[n, column + np.uintp(1)], _F(1)
+    return dot(laid[0], at), dot(laid[1], at)
 
-    first : column of the texture's coordinates;  laid : (2, 3), of the texture
+
+@kernel(inline="always")
+def _moved(a, b, c, growth, side):  # pragma: no cover - compiled
+    """(2,) how a place between three moves over a sample as the weights of b and c grow.
+
     side : of the sample, in pixels"""
-    i, j, k = corners
-    second = first + np.uintp(1)
     in_b, in_c = side * growth[0], side * growth[1]
-    u = in_b * (uv[j, first] - uv[i, first]) + in_c * (uv[k, first] - uv[i, first])
-    v = in_b * (uv[j, second] - uv[i, second]) + in_c * (
-        uv[k, second] - uv[i, second]
-    )
-    return laid[0, 0] * u + laid[0, 1] * v, laid[1, 0] * u + laid[1, 1] * v
+    x = in_b * (b[0] - a[0]) + in_c * (c[0] - a[0])
+    return x, in_b * (b[1] - a[1]) + in_c * (c[1] - a[1])
 
 
 @kernel(inline="always")
@@ -122,66 +112,34 @@ def _apply_textures(
     """Multiply what is in `values` by the part's textures. side : of the sample, in pixels
 
     Returns what the normal map shows, 0..1, unused where there is none."""
-    corners, uv = vertices_of(mesh.faces, f), mesh.uv
-    i, j, k = corners
-    map_x, map_y, map_z = _F(0.5), _F(0.5), _F(1)
+    i, j, k = vertices_of(mesh.faces, f)
+    bump = _F(0.5), _F(0.5), _F(1)
     for slot in range(mesh.slots):
         if mesh.ints[p, slot] < 0:
             continue
-        t, c = np.uintp(mesh.ints[p, slot]), np.uintp(mesh.uv_first[p, slot])
-        laid, d = mesh.laid[p, slot], c + np.uintp(1)
-        u = dot(hit.weights, (uv[i, c], uv[j, c], uv[k, c]))
-        v = dot(hit.weights, (uv[i, d], uv[j, d], uv[k, d]))
-        place = dot(laid[0], (u, v, _F(1))), dot(laid[1], (u, v, _F(1)))
-        wide = _along(uv, corners, c, hit.across, laid, side)
-        high = _along(uv, corners, c, hit.down, laid, side)
-        red, green, blue, alpha = filtered(
-            mesh.texels, mesh.table, t, place, wide, high, view.taps
+        t, column = np.uintp(mesh.ints[p, slot]), np.uintp(mesh.uv_first[p, slot])
+        laid = mesh.laid[p, slot]
+        a, b = _laid(mesh.uv, i, column, laid), _laid(mesh.uv, j, column, laid)
+        c = _laid(mesh.uv, k, column, laid)
+        place = (
+            dot(hit.weights, (a[0], b[0], c[0])),
+            dot(hit.weights, (a[1], b[1], c[1])),
         )
+        wide = _moved(a, b, c, hit.across, side)
+        high = _moved(a, b, c, hit.down, side)
+        shown = filtered(mesh.texels, mesh.table, t, place, wide, high, view.taps)
         if slot == NORMAL_SLOT:
-            map_x, map_y, map_z = red, green, blue
-        elif slot == BASE_SLOT:
-            _multiply(values, ALBEDO, red, green, blue)
-            values[COVERED] *= alpha
-        elif slot == METAL_SLOT:
-            _multiply(values, MATERIAL, blue, green, _F(1))
-        elif slot == EMISSIVE_SLOT:
-            _multiply(values, EMISSIVE, red, green, blue)
-        elif values.shape[0] > PLAIN_COLUMNS:
-            _apply_extra(
-                slot,
-                red,
-                green,
-                blue,
-                alpha,
-                mesh.floats[p, OCCLUSION_STRENGTH],
-                values,
-            )
-    return map_x, map_y, map_z
-
-
-@kernel(inline="always")
-def _multiply(values, first, a, b, c):  # pragma: no cover - compiled
-    values[first] *= a
-    values[first + 1] *= b
-    values[first + 2] *= c
-
-
-@kernel(inline="always")
-def _apply_extra(
-    slot, red, green, blue, alpha, strength, values
-):  # pragma: no cover - compiled
-    """Textures of occlusion, clear coat and sheen."""
-    if slot == OCCLUSION_SLOT:
-        values[OCCLUSION] = _F(1) + strength * (red - _F(1))
-    elif slot == COAT_SLOT:
-        values[COAT] *= red
-    elif slot == COAT_ROUGHNESS_SLOT:
-        values[COAT + 1] *= green
-    elif slot == SHEEN_SLOT:
-        _multiply(values, SHEEN, red, green, blue)
-    else:
-        values[SHEEN + 3] *= alpha
+            bump = shown[0], shown[1], shown[2]
+        for channel in range(4):
+            target = FACTORS[slot, channel]
+            if 0 <= target < values.shape[0]:
+                factor = shown[channel]
+                if slot == OCCLUSION_SLOT:
+                    factor = mesh.floats[p, OCCLUSION_STRENGTH] * (
+                        factor - _F(1)
+                    ) + _F(1)
+                values[target] *= factor
+    return bump
 
 
 @kernel(inline="always")
@@ -232,18 +190,12 @@ def _write_surface(f, hit, side, view, mesh, values):  # pragma: no cover - comp
     p = np.uintp(mesh.part[f])
     i, j, k = vertices_of(mesh.faces, f)
     floats, colours = mesh.floats, mesh.colours
+    for c in range(values.shape[0]):
+        values[c] = floats[p, c]
     colour = _interpolated(colours, f, hit, mesh)
     for c in range(3):
-        values[ALBEDO + c] = floats[p, BASE + c]
-        values[MATERIAL + c] = floats[p, METALLIC + c]
-        values[EMISSIVE + c] = floats[p, EMISSION + c]
-    _multiply(values, ALBEDO, colour[0], colour[1], colour[2])
-    alpha = dot(hit.weights, (colours[i, 3], colours[j, 3], colours[k, 3]))
-    values[COVERED] = floats[p, BASE + 3] * alpha
-    if values.shape[0] > PLAIN_COLUMNS:
-        values[OCCLUSION] = _F(1)
-        for c in range(SMOOTH - COAT):
-            values[COAT + c] = floats[p, COAT_FACTORS + c]
+        values[ALBEDO + c] *= colour[c]
+    values[COVERED] *= dot(hit.weights, (colours[i, 3], colours[j, 3], colours[k, 3]))
     smooth = _interpolated(mesh.normals, f, hit, mesh)
     normal = smooth
     if mesh.slots > 0:

@@ -7,25 +7,39 @@ from numpy import ndarray
 
 from arfx.core.model import BLEND, MASK, OPAQUE, TEXTURE_SLOTS, Material, Texture
 from arfx.core.scene_mesh import SceneMesh
+from arfx.stages.raster.record import (
+    ALBEDO,
+    ALL_COLUMNS,
+    COAT,
+    COVERED,
+    EMISSIVE,
+    MATERIAL,
+    OCCLUSION,
+    SHEEN,
+    SMOOTH,
+)
 from arfx.stages.raster.textures import texture_stack
 
-# Columns of the materials' numbers, one row a part. Each begins a run of those of its name.
-BASE, METALLIC, EMISSION, COAT_FACTORS, SHEEN_FACTORS = 0, 4, 7, 10, 12
-CUTOFF, NORMAL_SCALE, OCCLUSION_STRENGTH = 16, 17, 18
-# Columns of the textures' numbers: the slots, then what follows them.
-(
-    BASE_SLOT,
-    METAL_SLOT,
-    EMISSIVE_SLOT,
-    NORMAL_SLOT,
-    OCCLUSION_SLOT,
-    COAT_SLOT,
-    COAT_ROUGHNESS_SLOT,
-    SHEEN_SLOT,
-    SHEEN_ROUGHNESS_SLOT,
-    MODE,
-    TWO_SIDED,
-) = range(len(TEXTURE_SLOTS) + 2)
+# Columns of the materials' numbers, one row a part, after those of a pixel's sums.
+CUTOFF, NORMAL_SCALE, OCCLUSION_STRENGTH = range(ALL_COLUMNS, ALL_COLUMNS + 3)
+# Columns of the textures' numbers: the slots that are drawn, then what follows them.
+SLOTS = tuple(TEXTURE_SLOTS)
+NORMAL_SLOT, OCCLUSION_SLOT = map(
+    SLOTS.index, ("normal_texture", "occlusion_texture")
+)
+MODE, TWO_SIDED = len(SLOTS), len(SLOTS) + 1
+# Column of a pixel's sums that each channel of a slot's texture is a factor of, -1 = none.
+_FACTORS = {
+    "base_texture": (ALBEDO, ALBEDO + 1, ALBEDO + 2, COVERED),
+    "metallic_roughness_texture": (-1, MATERIAL + 1, MATERIAL, -1),
+    "emissive_texture": (EMISSIVE, EMISSIVE + 1, EMISSIVE + 2, -1),
+    "occlusion_texture": (OCCLUSION, -1, -1, -1),
+    "clearcoat_texture": (COAT, -1, -1, -1),
+    "clearcoat_roughness_texture": (-1, COAT + 1, -1, -1),
+    "sheen_colour_texture": (SHEEN, SHEEN + 1, SHEEN + 2, -1),
+    "sheen_roughness_texture": (-1, -1, -1, SHEEN + 3),
+}
+FACTORS = np.array([_FACTORS.get(name, (-1,) * 4) for name in SLOTS])
 _MODES = {OPAQUE: 0, MASK: 1, BLEND: 2}
 CUT_OUT = _MODES[MASK]
 
@@ -33,7 +47,7 @@ CUT_OUT = _MODES[MASK]
 class SurfaceTables(NamedTuple):
     """Fields as of `SceneMesh`, and:
 
-    floats : (p, 19) float32, ints : (p, 11) int32, of the materials
+    floats : (p, 27) float32, ints : (p, 11) int32, of the materials
     uv_first : (p, 9) int32, column of `uv` that each slot's texture begins at
     laid : (p, 9, 2, 3) float32, picture_from_uv of each slot;  slots : used by any part
     texels, table : of `TextureStack`"""
@@ -80,7 +94,7 @@ def surface_tables(mesh: SceneMesh) -> SurfaceTables:
         mesh.tangents,
         mesh.colours,
         mesh.uv,
-        np.array([_factors(material) for material in mesh.materials], np.float32),
+        np.array([_factors(material) for material in mesh.materials]),
         ints,
         uv_first,
         laid,
@@ -100,17 +114,17 @@ def has_extras(mesh: SceneMesh) -> bool:
     )
 
 
-def _factors(material: Material) -> list[float]:
+def _factors(material: Material) -> ndarray:
     """One row of the materials' numbers."""
     surface = material.metallic, material.roughness, material.specular
     coat = material.clearcoat, material.clearcoat_roughness
     sheen = *material.sheen_colour, material.sheen_roughness
     scales = material.alpha_cutoff, material.normal_scale, material.occlusion_strength
-    return [
-        *material.base_colour,
-        *surface,
-        *material.emissive,
-        *coat,
-        *sheen,
-        *scales,
-    ]
+    row = np.ones(OCCLUSION_STRENGTH + 1, np.float32)
+    row[COVERED], row[ALBEDO : ALBEDO + 3] = (
+        material.base_colour[3],
+        material.base_colour[:3],
+    )
+    row[MATERIAL:OCCLUSION] = *surface, *material.emissive
+    row[COAT:SMOOTH], row[CUTOFF:] = (*coat, *sheen), scales
+    return row

@@ -15,6 +15,8 @@ _APART = 0.6  # texels between taps at least: farther apart, hard stripes show m
 @kernel(inline="always")
 def _wrapped(t, mode):  # pragma: no cover - compiled
     """A texture coordinate within 0..1."""
+    if _F(0) <= t < _F(1):
+        return t
     if mode == textures.REPEATS:
         return t - np.floor(t)
     if mode == textures.CLAMPS:
@@ -23,26 +25,38 @@ def _wrapped(t, mode):  # pragma: no cover - compiled
 
 
 @kernel(inline="always")
-def _between(texels, p, q, share):  # pragma: no cover - compiled
-    """Four channels between texels p and q."""
-    p0, p1, p2, p3 = (
-        _F(texels[p, 0]),
-        _F(texels[p, 1]),
-        _F(texels[p, 2]),
-        _F(texels[p, 3]),
-    )
-    q0, q1, q2, q3 = (
-        _F(texels[q, 0]),
-        _F(texels[q, 1]),
-        _F(texels[q, 2]),
-        _F(texels[q, 3]),
-    )
+def _texel(texels, p):  # pragma: no cover - compiled
+    a, b, c, d = texels[p, 0], texels[p, 1], texels[p, 2], texels[p, 3]
+    return _F(a), _F(b), _F(c), _F(d)
+
+
+@kernel(inline="always")
+def _mixed(a, b, share):  # pragma: no cover - compiled
+    """Four channels: a where the share is 0, b where it is 1."""
     return (
-        p0 + share * (q0 - p0),
-        p1 + share * (q1 - p1),
-        p2 + share * (q2 - p2),
-        p3 + share * (q3 - p3),
+        a[0] + share * (b[0] - a[0]),
+        a[1] + share * (b[1] - a[1]),
+        a[2] + share * (b[2] - a[2]),
+        a[3] + share * (b[3] - a[3]),
     )
+
+
+@kernel(inline="always")
+def _spread(side, length, spacing):  # pragma: no cover - compiled
+    """How many taps along a side (u, v), and the step between them: the variance of their places
+    is that of the side."""
+    if length <= spacing:
+        return 1, side[0], side[1]
+    count = int(length / spacing + _F(0.99))
+    step = _F(1) / np.sqrt(max(_F(count * count - 1), _F(1)))
+    return count, step * side[0], step * side[1]
+
+
+@kernel(inline="always")
+def _length(side, width, height):  # pragma: no cover - compiled
+    """Of a side (u, v), in texels."""
+    x, y = side[0] * width, side[1] * height
+    return np.sqrt(x * x + y * y)
 
 
 @line_kernel(error_model="numpy", fastmath=FAST)
@@ -53,71 +67,45 @@ def filtered(
 
     place : u, v of its middle;  across, down : its sides in u, v
     taps : along the short side, at most; twice as many along the long one"""
-    width, height = _F(table[t, textures.WIDTH]), _F(table[t, textures.HEIGHT])
-    ax, ay, bx, by = (
-        across[0] * width,
-        across[1] * height,
-        down[0] * width,
-        down[1] * height,
+    half, width, height = _F(0.5), table[t, textures.WIDTH], table[t, textures.HEIGHT]
+    wide, high = (
+        _length(across, _F(width), _F(height)),
+        _length(down, _F(width), _F(height)),
     )
-    wide, high = np.sqrt(ax * ax + ay * ay), np.sqrt(bx * bx + by * by)
     finest = max(min(wide, high) / _F(taps), max(wide, high) / _F(2 * taps))
-    level = np.int32(0)
+    level = 0
     if finest > _F(2):
-        level = np.int32(np.log2(finest))
-        level = min(level, np.int32(table[t, textures.LEVELS] - 1))
-    least = np.int32(1)
-    n, m = least, least
-    if max(wide, high) > _F(1):  # else one tap is enough
-        spacing = max(finest, _F(_APART))
-        n = max(np.int32(wide / spacing + _F(0.99)), least)
-        m = max(np.int32(high / spacing + _F(0.99)), least)
-    w, h = max(np.int32(width) >> level, least), max(np.int32(height) >> level, least)
-    start = np.int32(table[t, textures.OFFSETS + level])
-    wrap_u, wrap_v = table[t, textures.WRAP_U], table[t, textures.WRAP_V]
-    before_u = w - least if wrap_u == textures.REPEATS else np.int32(0)
-    before_v = h - least if wrap_v == textures.REPEATS else np.int32(0)
-    # spread so that the variance of their places is that of the side
-    step = _F(1) / np.sqrt(max(_F(n * n - 1), _F(1)))
-    row = _F(1) / np.sqrt(max(_F(m * m - 1), _F(1)))
-    step_u, step_v = across[0] * step, across[1] * step
-    row_u, row_v = down[0] * row, down[1] * row
-    along, under = _F(0.5) * _F(n - 1), _F(0.5) * _F(m - 1)
+        level = min(int(np.log2(finest)), table[t, textures.LEVELS] - 1)
+    # one tap is enough where a sample is no larger than a texel
+    spacing = max(finest, _F(_APART)) if max(wide, high) > _F(1) else _F(1)
+    n, step_u, step_v = _spread(across, wide, spacing)
+    m, row_u, row_v = _spread(down, high, spacing)
+    along, under = half * _F(n - 1), half * _F(m - 1)
     first_u = place[0] - along * step_u - under * row_u
     first_v = place[1] - along * step_v - under * row_v
+    w, h = max(width >> level, 1), max(height >> level, 1)
+    start, line = table[t, textures.OFFSETS + level], np.uintp(w + 2)
+    wrap_u, wrap_v = table[t, textures.WRAP_U], table[t, textures.WRAP_V]
     nearest = table[t, textures.NEAREST] != 0 and level == 0
     t0, t1, t2, t3 = _F(0), _F(0), _F(0), _F(0)
     for j in range(m):
         for i in range(n):
-            u = first_u + _F(i) * step_u + _F(j) * row_u
-            v = first_v + _F(i) * step_v + _F(j) * row_v
-            if u < _F(0) or u >= _F(1):
-                u = _wrapped(u, wrap_u)
-            if v < _F(0) or v >= _F(1):
-                v = _wrapped(v, wrap_v)
-            x, y = u * _F(w) - _F(0.5), v * _F(h) - _F(0.5)
+            u = _wrapped(first_u + _F(i) * step_u + _F(j) * row_u, wrap_u)
+            v = _wrapped(first_v + _F(i) * step_v + _F(j) * row_v, wrap_v)
+            # from the border's first texel
+            x, y = u * _F(w) + half, v * _F(h) + half
             left, top = np.floor(x), np.floor(y)
             fx, fy = x - left, y - top
             if nearest:
-                fx, fy = _F(fx >= _F(0.5)), _F(fy >= _F(0.5))
-            x0, y0 = np.int32(left), np.int32(top)
-            x1, y1 = np.int32(x0 + least), np.int32(y0 + least)
-            x0, x1 = (
-                x0 if x0 >= 0 else before_u,
-                x1 if x1 < w else w - least - before_u,
-            )
-            y0, y1 = (
-                y0 if y0 >= 0 else before_v,
-                y1 if y1 < h else h - least - before_v,
-            )
-            upper, lower = start + y0 * w, start + y1 * w
-            p, q = np.uintp(upper + x0), np.uintp(upper + x1)
-            r, s = np.uintp(lower + x0), np.uintp(lower + x1)
-            c0, c1, c2, c3 = _between(texels, p, q, fx)
-            d0, d1, d2, d3 = _between(texels, r, s, fx)
-            t0 += c0 + fy * (d0 - c0)
-            t1 += c1 + fy * (d1 - c1)
-            t2 += c2 + fy * (d2 - c2)
-            t3 += c3 + fy * (d3 - c3)
+                fx, fy = _F(fx >= half), _F(fy >= half)
+            p = np.uintp(start + np.int32(top) * (w + 2) + np.int32(left))
+            r, one = p + line, np.uintp(1)
+            upper = _mixed(_texel(texels, p), _texel(texels, p + one), fx)
+            lower = _mixed(_texel(texels, r), _texel(texels, r + one), fx)
+            c0, c1, c2, c3 = _mixed(upper, lower, fy)
+            t0 += c0
+            t1 += c1
+            t2 += c2
+            t3 += c3
     share = _F(1 / textures.FULL) / _F(n * m)
     return t0 * share, t1 * share, t2 * share, t3 * share

@@ -1,6 +1,7 @@
 """Textures as pyramids of linear light in one flat array, which surface.py looks up.
 
-Each level is the mean of four texels of the level below, 16 bits a channel."""
+Each level is the mean of four texels of the level below, 16 bits a channel, with a border of one
+texel all around: of the opposite side where the texture repeats, else of the same."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -33,24 +34,23 @@ def texture_stack(uses: Sequence[tuple[Texture, bool]]) -> TextureStack:
     """A row of the table for each; a picture that is used in several places is stored once.
 
     uses : textures, and whether their colour is coded (sRGB); alpha never is"""
-    pictures = {
-        (id(texture.picture), srgb): texture.picture for texture, srgb in uses
-    }
-    sizes = {key: level_sizes(picture) for key, picture in pictures.items()}
-    areas = {key: [w * h for w, h in levels] for key, levels in sizes.items()}
-    ends = np.cumsum([sum(texels) for texels in areas.values()], dtype=np.int64)
-    starts = dict(zip(pictures, [0, *ends], strict=False))
-    texels = np.full((max(sum(ends[-1:]), 1), 4), FULL, np.uint16)
-    for (key, picture), end in zip(pictures.items(), ends, strict=True):
-        write_pyramid(picture, key[1], texels[starts[key] : end])
+    stored: dict[tuple[int, tuple[str, str], bool], tuple[Texture, ndarray]] = {}
     table = np.zeros((len(uses), OFFSETS + MAX_LEVELS), np.int64)
+    end = 0
     for row, (texture, srgb) in zip(table, uses, strict=True):
-        key = id(texture.picture), srgb
-        levels, wraps = sizes[key], (_WRAPS[way] for way in texture.wrap)
-        row[:OFFSETS] = *levels[0], len(levels), *wraps, texture.nearest
-        row[OFFSETS : OFFSETS + len(levels)] = np.cumsum(
-            [starts[key], *areas[key][:-1]]
-        )
+        key = id(texture.picture), texture.wrap, srgb
+        sizes = level_sizes(texture.picture)
+        if key not in stored:
+            areas = [(w + 2) * (h + 2) for w, h in sizes]
+            stored[key] = texture, end + np.cumsum([0, *areas])
+        starts = stored[key][1]
+        end = max(end, starts[-1])
+        wraps = (_WRAPS[way] for way in texture.wrap)
+        row[:OFFSETS] = *sizes[0], len(sizes), *wraps, texture.nearest
+        row[OFFSETS : OFFSETS + len(sizes)] = starts[:-1]
+    texels = np.empty((end, 4), np.uint16)
+    for (*_, srgb), (texture, starts) in stored.items():
+        write_pyramid(texture, srgb, texels[starts[0] : starts[-1]])
     return TextureStack(texels, table)
 
 
@@ -61,22 +61,27 @@ def level_sizes(picture: ndarray) -> list[tuple[int, int]]:
     return [(max(width >> k, 1), max(height >> k, 1)) for k in range(count)]
 
 
-def write_pyramid(picture: ndarray, srgb: bool, texels: ndarray) -> list[ndarray]:
-    """Levels (h, w, 4) uint16 in linear light, which lie in `texels` (n, 4), one after the other;
-    missing channels are full."""
-    height, width, channels = picture.shape
+def write_pyramid(texture: Texture, srgb: bool, texels: ndarray) -> list[ndarray]:
+    """Levels (h, w, 4) uint16 in linear light, which lie in `texels` (n, 4), one after the other,
+    each with a border; missing channels are full."""
+    height, width, channels = texture.picture.shape
     whole = np.full((height, width, 4), 255, np.uint8)
-    whole[..., :channels] = picture
+    whole[..., :channels] = texture.picture
     table = np.stack([_FROM_SRGB if srgb else _LINEAR] * 3 + [_LINEAR], -1)
     levels: list[ndarray] = []
     start = 0
-    for size in level_sizes(picture):
-        end = start + size[0] * size[1]
-        level = texels[start:end].reshape(size[1], size[0], 4)
+    for w, h in level_sizes(texture.picture):
+        end = start + (w + 2) * (h + 2)
+        bordered = texels[start:end].reshape(h + 2, w + 2, 4)
+        level = bordered[1:-1, 1:-1]
         if levels:
-            cv2.resize(levels[-1], size, dst=level, interpolation=cv2.INTER_AREA)
+            cv2.resize(levels[-1], (w, h), dst=level, interpolation=cv2.INTER_AREA)
         else:
             cv2.LUT(whole, table[None], dst=level)
+        for lines, wrap in zip(
+            (bordered.swapaxes(0, 1), bordered), texture.wrap, strict=True
+        ):
+            lines[[0, -1]] = lines[[-2, 1] if wrap == REPEAT else [1, -2]]
         levels.append(level)
         start = end
     return levels

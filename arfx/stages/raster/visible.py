@@ -19,7 +19,9 @@ from arfx.core.compiled import kernel
 from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.rect import Rect
 from arfx.core.scene_mesh import SceneMesh
+from arfx.core.vectors import dot
 from arfx.stages.raster.record import NearestFaces, View
+from arfx.stages.triangles import span, vertices_of
 
 _SAMPLE_PX = 0.501  # samples lie this far from their pixel's centre
 # The picture of a straight edge bows by at most length^2 / 8 x the lens's curvature.
@@ -49,7 +51,6 @@ class Projection(NamedTuple):
     faces: ndarray
     hidden: ndarray
     curvature: float
-    near: float
 
 
 class RayFaces:
@@ -72,7 +73,6 @@ class RayFaces:
             mesh.faces,
             mesh.hidden_behind,
             self._curvature,
-            EPS_DEPTH_M,
         )
 
         def nearest(
@@ -88,9 +88,15 @@ class RayFaces:
 
 
 @kernel(inline="always")
-def vertices_of(faces, f):  # pragma: no cover - compiled
-    """Numbers of the three vertices of a face."""
-    return np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
+def _point(points, i):  # pragma: no cover - compiled
+    return points[i, 0], points[i, 1], points[i, 2]
+
+
+@kernel(inline="always")
+def _plane(a, b):  # pragma: no cover - compiled
+    """a x b, exactly the negative of b x a."""
+    x, y = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2]
+    return x, y, a[0] * b[1] - a[1] * b[0]
 
 
 @kernel(inline="always")
@@ -98,48 +104,46 @@ def planes_of(points, i, j, k):  # pragma: no cover - compiled
     """Planes through the eye and the edges opposite to a, b and c, and the volume |a b c|, signed.
 
     The volume is negative where the front is seen."""
-    ax, ay, az = points[i, 0], points[i, 1], points[i, 2]
-    bx, by, bz = points[j, 0], points[j, 1], points[j, 2]
-    cx, cy, cz = points[k, 0], points[k, 1], points[k, 2]
-    opposite_a = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
-    opposite_b = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
-    opposite_c = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    volume = ax * opposite_a[0] + ay * opposite_a[1] + az * opposite_a[2]
-    return opposite_a, opposite_b, opposite_c, volume
+    a, b, c = _point(points, i), _point(points, j), _point(points, k)
+    opposite = _plane(b, c)
+    volume = a[0] * opposite[0] + a[1] * opposite[1] + a[2] * opposite[2]
+    return opposite, _plane(c, a), _plane(a, b), volume
 
 
 @kernel(inline="always")
-def _box(projection, i, j, k, height, width):  # pragma: no cover - compiled
-    """Half-open x0 y0 x1 y1 of the pixels that a face may cover; a corner without a
-    picture: all.
-    """
-    pixels, points, near = projection.pixels, projection.points, projection.near
-    if points[i, 2] <= near and points[j, 2] <= near and points[k, 2] <= near:
-        return 0, 0, 0, 0
+def _met(projection, f, height, width):  # pragma: no cover - compiled
+    """Planes of a face, and spans of columns and rows of the pixels that it may cover: none where
+    it is not seen, all where a corner has no picture."""
+    i, j, k = vertices_of(projection.faces, f)
+    pixels, points = projection.pixels, projection.points
+    planes = planes_of(points, i, j, k)
+    nothing, far = (np.uintp(0), np.uintp(0)), max(points[i, 2], points[j, 2])
+    hidden = planes[3] == 0 or (projection.hidden[f] and planes[3] > 0)
+    if hidden or max(far, points[k, 2]) <= EPS_DEPTH_M:
+        return planes, nothing, nothing
     low_x = min(pixels[i, 0], min(pixels[j, 0], pixels[k, 0]))
     low_y = min(pixels[i, 1], min(pixels[j, 1], pixels[k, 1]))
     high_x = max(pixels[i, 0], max(pixels[j, 0], pixels[k, 0]))
     high_y = max(pixels[i, 1], max(pixels[j, 1], pixels[k, 1]))
-    corners = pixels[i, 0] + pixels[j, 0] + pixels[k, 0]
     side = max(high_x - low_x, high_y - low_y)
     pad = _SAMPLE_PX + _BOW * projection.curvature * side * side
-    if not np.isfinite(corners + pad):
-        return 0, 0, width, height
-    x0 = min(max(np.ceil(low_x - pad), 0.0), width)
-    y0 = min(max(np.ceil(low_y - pad), 0.0), height)
-    x1 = min(max(np.floor(high_x + pad) + 1, 0.0), width)
-    y1 = min(max(np.floor(high_y + pad) + 1, 0.0), height)
-    return int(x0), int(y0), int(x1), int(y1)
+    if not np.isfinite(pixels[i, 0] + pixels[j, 0] + pixels[k, 0] + pad):
+        low_x, low_y, high_x, high_y, pad = 0.0, 0.0, width, height, 0.0
+    columns, rows = (
+        span(low_x, high_x, pad, width),
+        span(low_y, high_y, pad, height),
+    )
+    return planes, columns, rows
 
 
 @kernel(inline="always")
-def _meet_run(face, planes, near, x, y, first, last, prim, depth):  # pragma: no cover
-    """Meet one face with the directions x, y [first:last]; prim, depth : the nearest so far."""
+def _meet_run(face, planes, x, y, span, prim, depth):  # pragma: no cover - compiled
+    """Meet one face with the directions x, y of a span; prim, depth : the nearest so far."""
     (a0, a1, a2), (b0, b1, b2), (c0, c1, c2), volume = planes
     if volume < 0:
         a0, a1, a2, b0, b1, b2 = -a0, -a1, -a2, -b0, -b1, -b2
         c0, c1, c2, volume = -c0, -c1, -c2, -volume
-    for k in range(first, last):
+    for k in range(span[0], span[1]):
         dx, dy = x[k], y[k]
         side_b = b0 * dx + b1 * dy + b2
         side_c = c0 * dx + c1 * dy + c2
@@ -147,7 +151,7 @@ def _meet_run(face, planes, near, x, y, first, last, prim, depth):  # pragma: no
         if min(side_a, min(side_b, side_c)) >= 0:
             total = side_a + side_b + side_c
             z = volume / total
-            if total > 0 and near < z < depth[k]:
+            if total > 0 and EPS_DEPTH_M < z < depth[k]:
                 depth[k], prim[k] = z, face
 
 
@@ -158,19 +162,10 @@ def nearest_faces(projection: Projection, x, y):  # pragma: no cover - compiled
     x, y : (h, w) float64 directions, z = 1"""
     height, width = x.shape
     prim, depth = np.full(x.shape, -1, np.int32), np.full(x.shape, np.inf, np.float32)
-    faces, hidden, near = projection.faces, projection.hidden, projection.near
-    for f in range(len(faces)):
-        i, j, k = vertices_of(faces, f)
-        planes = planes_of(projection.points, i, j, k)
-        if planes[3] == 0 or (hidden[f] and planes[3] > 0):
-            continue
-        x0, y0, x1, y1 = _box(projection, i, j, k, height, width)
-        first, last = np.uintp(x0), np.uintp(max(x0, x1))
-        for row in range(np.uintp(y0), np.uintp(max(y0, y1))):
-            of_row = prim[row], depth[row]
-            _meet_run(
-                f, planes, near, x[row], y[row], first, last, of_row[0], of_row[1]
-            )
+    for f in range(len(projection.faces)):
+        planes, columns, rows = _met(projection, f, height, width)
+        for n in range(rows[0], rows[1]):
+            _meet_run(f, planes, x[n], y[n], columns, prim[n], depth[n])
     return prim, depth
 
 
@@ -184,23 +179,14 @@ def nearest_faces_at(
     x, y : (n, s) float64 directions"""
     height, width = slot.shape
     prim, depth = np.full(x.shape, -1, np.int32), np.full(x.shape, np.inf, np.float32)
-    zero, last = np.uintp(0), np.uintp(x.shape[1])
-    faces, hidden, near = projection.faces, projection.hidden, projection.near
-    for f in range(len(faces)):
-        i, j, k = vertices_of(faces, f)
-        x0, y0, x1, y1 = _box(projection, i, j, k, height, width)
-        if x0 >= x1 or y0 >= y1:
-            continue
-        planes = planes_of(projection.points, i, j, k)
-        if planes[3] == 0 or (hidden[f] and planes[3] > 0):
-            continue
-        for row in range(np.uintp(y0), np.uintp(y1)):
-            for column in range(np.uintp(x0), np.uintp(x1)):
+    every = np.uintp(0), np.uintp(x.shape[1])
+    for f in range(len(projection.faces)):
+        planes, columns, rows = _met(projection, f, height, width)
+        for row in range(rows[0], rows[1]):
+            for column in range(columns[0], columns[1]):
                 n = slot[row, column]
                 if n >= 0:
-                    _meet_run(
-                        f, planes, near, x[n], y[n], zero, last, prim[n], depth[n]
-                    )
+                    _meet_run(f, planes, x[n], y[n], every, prim[n], depth[n])
     return prim, depth
 
 
@@ -210,10 +196,9 @@ def depths_along(points, faces, face, x, y):  # pragma: no cover - compiled
     depth = np.full(len(face), np.inf, np.float32)
     for n in range(len(face)):
         if face[n] >= 0:
-            f = np.uintp(face[n])
-            i, j, k = vertices_of(faces, f)
+            i, j, k = vertices_of(faces, np.uintp(face[n]))
             a, b, c, volume = planes_of(points, i, j, k)
-            total_x, total_y = a[0] + b[0] + c[0], a[1] + b[1] + c[1]
-            z = volume / (total_x * x[n] + total_y * y[n] + a[2] + b[2] + c[2])
+            along = x[n], y[n], 1.0
+            z = volume / (dot(a, along) + dot(b, along) + dot(c, along))
             depth[n] = z if z > 0 else np.inf
     return depth

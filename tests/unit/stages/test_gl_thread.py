@@ -111,9 +111,8 @@ def test_a_renderer_that_is_gone_leaves_nothing_in_the_driver() -> None:
     del renderer
     gc.collect()
     on_gl_thread(lambda: None)
-    assert drawing.buffer.framebuffer is None and not any(
-        p._in_context() for p, *_ in drawing.primitives
-    )
+    assert drawing.buffer.framebuffer is None
+    assert not drawing.primitive._in_context()
 
 
 @pytest.mark.opengl

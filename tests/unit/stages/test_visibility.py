@@ -68,9 +68,7 @@ def test_each_pixel_sees_the_nearest_face_in_pictures_of_any_width(
     x[2, 0] = np.nan  # a pixel that no direction maps to
     pixels = points[:, :2] / points[:, 2:] * focal + centre
     pixels[(points[:, 2] <= EPS_DEPTH_M) | (not projected)] = np.nan
-    prim, depth = nearest_faces(
-        Projection(pixels, points, faces, hidden, 0.0, EPS_DEPTH_M), x, y
-    )
+    prim, depth = nearest_faces(Projection(pixels, points, faces, hidden, 0.0), x, y)
     expected, far = plain(
         points, faces, hidden, np.column_stack([x.ravel(), y.ravel()])
     )
@@ -94,7 +92,7 @@ def test_each_sample_sees_the_nearest_face_whatever_their_number(
     slot.flat[asked] = np.arange(len(asked))
     x, y = rng.uniform(-0.7, 0.7, (2, len(asked), per))
     projection = Projection(
-        np.full((len(points), 2), np.nan), points, faces, hidden, 0.0, EPS_DEPTH_M
+        np.full((len(points), 2), np.nan), points, faces, hidden, 0.0
     )
     prim, depth = nearest_faces_at(projection, slot, x, y)
     expected, far = plain(

@@ -1,7 +1,8 @@
 #version 330 core
-// The number of the face among all: those of this draw begin with `first`.
-uniform int first;
+// The number of the face. The first ones are not seen from behind.
+uniform int one_sided;
 layout(location = 0) out int face;
 void main() {
-    face = first + gl_PrimitiveID;
+    if (gl_PrimitiveID < one_sided && !gl_FrontFacing) discard;
+    face = gl_PrimitiveID;
 }
