@@ -37,7 +37,7 @@ class Observed(NamedTuple):
     px_per_ideal: ndarray
     weight: ndarray
 
-    def take(self, index: ndarray | slice | int) -> Observed:
+    def take(self, index: Any) -> Observed:
         return Observed(*(a[index] for a in self))
 
 

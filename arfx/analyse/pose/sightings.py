@@ -11,7 +11,13 @@ from arfx.analyse.markers.corners import shared_px
 from arfx.analyse.markers.detect import Detection, Record, sides
 from arfx.analyse.markers.inner_edges import AGREE_CELLS
 from arfx.analyse.pose.marker_map import Prints
-from arfx.analyse.pose.planar import Observed, lens_scale, planar_poses, residuals
+from arfx.analyse.pose.planar import (
+    Observed,
+    PlanarPoses,
+    lens_scale,
+    planar_poses,
+    residuals,
+)
 from arfx.analyse.tables import by_columns
 from arfx.core.camera import Camera
 from arfx.core.facts import MarkerSighting
@@ -30,7 +36,7 @@ _LEAST_SIGMA_PX = 0.015  # no corner of a real print in a real picture is known 
 class Sightings:
     """All sightings with their geometry.
 
-    prints : those that have a planar pose;  facts : of each frame
+    prints : of those that have a planar pose;  facts : of each frame
     common_px : (frames,) error of a frame's corners that its neighbours' have too
     sigma_factor : on the predicted sigma"""
 
@@ -85,8 +91,14 @@ class Sightings:
         gap_s, _ = cKDTree(times_s[off > 0]).query(times_s)
         off = np.where(off > 0, off, hidden * 0.5 ** (2 * gap_s / _COVERS_S))
         self.common_px = np.hypot(self.common_px, np.sqrt(divide(off, whole)))
+
+        def table(rows: ndarray) -> ndarray:
+            out = np.zeros((len(records), len(markers), *rows.shape[1:]))
+            out[frame[known], marker[known]] = rows[known]
+            return out
+
         self.prints = Prints(
-            frame[known], marker[known], every.take(known), poses.take(known)
+            Observed(*map(table, every)), PlanarPoses(*map(table, poses))
         )
         first, second = poses.error_px.T
         ratio = divide(second, first, where_zero=np.inf)

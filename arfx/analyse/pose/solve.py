@@ -60,7 +60,7 @@ def solve_poses(
     layout = (
         MarkerMap(dict(marker_map))
         if marker_map
-        else map_markers(sightings.prints, len(records), keys)
+        else map_markers(sightings.prints, keys)
     )
     path = world_path(sightings.prints, layout.world_from_marker, keys, shot, times)
     every = visible_intervals(path.measured, shot, times, params.max_gap_s)
