@@ -86,13 +86,14 @@ def map_markers(prints: Prints, keys: Sequence[str]) -> MarkerMap:
     unmapped = tuple(keys[k] for k in present if k not in start)
     if len(start) == 1:
         return MarkerMap({keys[present[0]]: Pose.identity()}, unmapped)
-    shared = np.flatnonzero(there[:, list(start)].sum(1) > 1)
+    placed = list(start)
+    shared = np.flatnonzero(there[:, placed].sum(1) > 1)
     chosen = _evenly(shared, MAX_FRAMES)
-    for k in start:
+    for k in placed:
         if not there[chosen, k].any():
             chosen = np.append(chosen, _evenly(shared[there[shared, k]], _FEW))
     poses = {keys[k]: pose for k, pose in start.items()}
-    return _adjust(prints.take(np.ix_(chosen, list(start))), poses, unmapped)
+    return _adjust(prints.take((chosen[:, None], placed)), poses, unmapped)
 
 
 def _evenly(items: ndarray, most: int) -> ndarray:
@@ -138,8 +139,8 @@ def _relative_pose(prints: Prints, first: int, second: int) -> tuple[float, Pose
     seen = prints.seen.take((np.repeat(frames, 2 * len(turn)), second))
     off = residuals(turned.reshape(-1, 3, 3), moved.reshape(-1, 3), seen)
     missed = rms_px(off, seen.weight)
-    missed = missed.reshape(len(frames), 2, len(turn))
-    missed[~a.known] = np.inf
+    # an error of the first one's own solution counts as well, infinite where there is none
+    missed = missed.reshape(len(frames), 2, len(turn)) + a.error_px[..., None]
     typical = np.median(missed.min(1), axis=0)
     best = int(typical.argmin())
     return float(typical[best] / np.sqrt(len(both))), Pose(turn[best], shift[best])
