@@ -83,7 +83,6 @@ def plane_poses(
                 raw_camera_from_world=stands,
                 opacity=1.0,
             )
-    evidence = {"moved_px": moved_px} if given is None else {}
     about = {
         "kind": PLANE,
         "poses": "a camera at rest" if given is None else "given",
@@ -96,7 +95,7 @@ def plane_poses(
         else None
     )
     return replace(clip, anchor=PLANE_MARKER).adding(
-        facts, notice, **figures(facts, (), static_evidence=evidence, anchor=about)
+        facts, notice, **figures(facts, (), anchor=about)
     )
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import cv2
 import numpy as np
@@ -44,8 +44,9 @@ NEAR_PX, FLAT = 17, 4.0
 # in the reduced image, over INTERVAL_S: tracking noise of a still clip is about .05 to .15;
 # and since the first picture: light and compression move corners by more
 STILL_PX, REST_PX = 0.35, 0.6
-# share of points: moving shadows and what a hand moves beside the marker are the others
-AT_REST = 0.45
+# share of points that rest, or move along with the marker's world: moving shadows and what a
+# hand moves beside the marker are the others
+AT_REST, ALONG = 0.45, 0.6
 _BACK_PX = 0.3  # from its start, in the reduced image: a corner that came back
 _MIN_POINTS = 6
 
@@ -139,42 +140,27 @@ def decide_static(
     samples: Sequence[FlowSample],
     camera_from_world: Mapping[int, Pose],
     camera: Camera,
-) -> tuple[str, dict[str, float]]:
-    """("camera" | "marker" | "both", evidence).
+) -> str:
+    """ "camera", "marker", or "both" move: that too where nothing is known to stand still.
 
-    samples : of BackgroundFlow;  camera_from_world : smoothed poses by frame
-    evidence : samples, share of background points at rest, share that move with the
-    marker's world, marker_moves_px.
-    Without evidence the answer is "both": nothing is known to stand still."""
-    posed = [
-        s
-        for s in samples
-        if {s.index, s.index + s.frames} <= camera_from_world.keys()
-    ]
-    shares = list[Any]()
-    for s in posed:
+    samples : of BackgroundFlow;  camera_from_world : smoothed poses by frame"""
+    rest, along = (
+        [],
+        [],
+    )  # shares of the points: at rest, moving with the marker's world
+    for s in samples:
+        a, b = (camera_from_world.get(k) for k in (s.index, s.index + s.frames))
+        if a is None or b is None:
+            continue
         from_, to = camera.normalised(np.stack([s.here, s.there]))
-        a, b = camera_from_world[s.index], camera_from_world[s.index + s.frames]
         still, way = STILL_PX * s.pixel_px, np.linalg.norm(s.there - s.here, axis=1)
-        missed = camera.fx * epipolar_distance(
-            from_, to, b @ a.inverse(), NEAREST * float(b.translation_m[2])
-        )
-        along = (missed < 2 * still + DRIFT * way).mean()
-        moved = camera.project(np.stack([a.translation_m, b.translation_m]))
-        shares.append(
-            ((way < still).mean(), along, np.linalg.norm(np.diff(moved, axis=0)))
-        )
-    rest, along, moves = np.array(shares or [(0.0, 0.0, np.nan)]).T
-    evidence = {
-        "samples": float(len(shares)),
-        "at_rest": float(rest.mean()),
-        "with_marker": float(along.mean()),
-        "marker_moves_px": float(np.nanmedian(moves))
-        if np.isfinite(moves).any()
-        else 0.0,
-    }
-    otherwise = "marker" if evidence["with_marker"] > 0.6 else "both"
-    return ("camera" if evidence["at_rest"] > AT_REST else otherwise), evidence
+        nearest_m = NEAREST * float(b.translation_m[2])
+        missed = epipolar_distance(from_, to, b @ a.inverse(), nearest_m)
+        rest.append((way < still).mean())
+        along.append((camera.fx * missed < 2 * still + DRIFT * way).mean())
+    if rest and np.mean(rest) > AT_REST:
+        return "camera"
+    return "marker" if along and np.mean(along) > ALONG else "both"
 
 
 def epipolar_distance(

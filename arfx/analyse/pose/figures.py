@@ -24,7 +24,6 @@ def figures(
     """
     count = Counter(f.status for f in facts)
     seen = Counter(m.key for f in facts for m in f.markers)
-    ratios = _ambiguities(facts)
     return {
         "frames": len(facts),
         "frames_measured": count[MEASURED],
@@ -37,11 +36,8 @@ def figures(
         "reprojection_px": {"raw": quantiles([]), "smoothed": quantiles([])},
         "pose_condition": quantiles([]),
         "sigma_px": quantiles([m.sigma_px for f in facts for m in f.markers]),
-        "ambiguity_ratio": quantiles(ratios),
-        "ambiguous_sightings": int((ratios < 4.0).sum()),
+        "ambiguous_sightings": int((_ambiguities(facts) < 4.0).sum()),
         "markers_seen": {k: seen[k] for k in keys},
-        "rivals": 0,
-        "dropped": 0,
         "map": {"given": True, "frames": 0, "unmapped": []},
         **more,
     }

@@ -103,14 +103,13 @@ def solve_poses(
             )
         )
     static: str = params.static
-    evidence: dict[str, float] = {}
     if static == "auto":
         poses = {
             f.index: f.camera_from_world
             for f in facts
             if f.camera_from_world is not None
         }
-        static, evidence = decide_static(flow, poses, camera)
+        static = decide_static(flow, poses, camera)
     again = [s.key for r in records for s in r.duplicates]
     summary = figures(
         facts,
@@ -124,7 +123,6 @@ def solve_poses(
         sigma_factor=sightings.sigma_factor,
         duplicates=len(again),
         dropped=path.dropped,
-        static_evidence=evidence,
         map={"given": marker_map is not None, **layout.to_json()},
         motion_noise=noise,
     )
