@@ -23,6 +23,7 @@ from arfx.analyse.pose.chain import (
     information_of_noise,
     least_density,
     smooth_chain,
+    typical_information,
 )
 from arfx.analyse.pose.planar import Observed, huber_cost, jacobian, residuals
 from arfx.core.parallel import parallel_map
@@ -63,9 +64,9 @@ _STIFF = np.array(
 )  # start of the second attempt: hardly any motion but sideways
 # covariance where nothing is seen: a radian, a metre
 _UNKNOWN = np.eye(6)
-_UNSURE_RAD = (
-    0.005  # typical error of a raw tilt above which a frame may lie in a wrong valley
-)
+# typical error of a raw tilt, which is what is known least, above which a frame may lie in a
+# wrong valley
+_UNSURE_RAD = 0.006
 
 
 def _density_over_time(chain: Chain, shot: ndarray) -> ndarray:
@@ -223,7 +224,7 @@ def _smooth_piece(
     # fix a tilt (a frontal
     # marker) raw poses lie in the wrong valleys, each sure of itself, and only the stiff
     # path finds the one between.
-    if paths[0].typical_turn_error() > _UNSURE_RAD:
+    if typical_information(paths[0].chain.information) < _UNSURE_RAD**-2:
         paths.append(paths[0].iterated(_STIFF, 2 * PASSES))
     while paths:
         path = paths.pop()
@@ -275,9 +276,9 @@ class _Path:
         links[:, :3, :3] -= bend
         links[:, :3, 12:15] -= bend
         offset = np.hstack([turn, np.diff(position, axis=0), np.zeros((len(dt), 6))])
-        shake = _shake((position[1:] + position[:-1]) / 2)
         firm = information_of_noise(dt)
         least = least_density(information, firm)
+        shake = _shake((position[1:] + position[:-1]) / 2)
         return Chain(information, pull, links, offset, firm, shake, least)
 
     def iterated(self, density: ndarray, passes: int) -> _Path:
@@ -296,16 +297,6 @@ class _Path:
             ):  # rad, or shares of the distance: a thousandth of a pixel
                 break
         return path
-
-    def typical_turn_error(self) -> float:
-        """Median over the frames seen of the largest standard deviation of a turn, radians."""
-        seen = self.chain.information[self.chain.information.any((1, 2))]
-        scale = 1 / np.sqrt(np.maximum(np.einsum("nii->ni", seen), 1e-30))
-        spread = np.linalg.pinv(
-            scale[:, :, None] * seen * scale[:, None], hermitian=True
-        )
-        variance = np.einsum("nii->ni", spread) * scale**2
-        return float(np.sqrt(np.median(variance[:, :3].max(1))))
 
     def likelihood(self, density: ndarray) -> float:
         """Log evidence with the true misfit at these poses in place of the linearised one's
@@ -355,13 +346,10 @@ def _apply_step(
 
 
 def _shake(position: ndarray) -> ndarray:
-    """(n, 6, 6) covariance of a camera that turns by 1 rad^2 about its own x and y, seen at
+    """(n, 6, 2) this module's axes of a camera that turns about its own x and y, seen at
     place (n, 3).
 
     The hand that holds a camera turns it far more than it carries it: the marker turns and
     moves, both at once."""
-    x, y = position[:, 0], position[:, 1]
-    one, none = np.ones_like(x), np.zeros_like(x)
-    turn_x = np.stack([one, none, none, -x * y, -1 - y * y, y], -1)
-    turn_y = np.stack([none, one, none, 1 + x * x, x * y, -x], -1)
-    return np.stack([turn_x, turn_y], -1)
+    ray = np.pad(position[:, :2], ((0, 0), (0, 1)), constant_values=1.0)
+    return np.linalg.inv(_to_left(ray))[..., :2]

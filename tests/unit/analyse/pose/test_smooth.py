@@ -257,7 +257,7 @@ def test_frontal_40_px_marker_never_flips(tilt: float) -> None:
     best = [
         np.degrees(rotation_angle_rad(Pose(turn, shift), truth[0]))
         for turn, shift in zip(
-            alone.rotation[:, 0], alone.translation[:, 0], strict=True
+            alone.rotation[:, 0, 0], alone.translation[:, 0, 0], strict=True
         )
     ]
     assert (
