@@ -5,6 +5,7 @@ Source: docs/methods/calibration.md#depth."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -178,7 +179,8 @@ def with_depth(
             print_ratios(depth, facts[n], clip.world_from_marker, camera)
             for n in frames_of[number]
         ]
-        return maps.digest(number), tiles, 1 - known, ratios
+        digest = hashlib.blake2b(depth.tobytes(), digest_size=8).hexdigest()
+        return digest, tiles, 1 - known, ratios
 
     readings = []
     with ThreadPoolExecutor(min(usable_cores(), 4)) as pool:
