@@ -1,9 +1,9 @@
 """Camera calibration files: reads what other tools write, writes a file that OpenCV, ROS
 and people can read.
 
-Read: OpenCV YAML/XML/JSON, NumPy .npz, ROS camera_info YAML, COLMAP cameras.txt and .bin,
+Read: OpenCV YAML/XML/JSON, NumPy .npz, ROS camera_info YAML, COLMAP cameras.txt,
 Kalibr camchain YAML, WPILib and
-PhotonVision JSON; by hand fx, fy, cx, cy, width, height; each also packed by gzip.
+PhotonVision JSON; by hand fx, fy, cx, cy, width, height.
 Pixel centres: all of these put them at integers, except COLMAP, whose centres lie at .5
 (corrected here). Left out: lens models that OpenCV's polynomials cannot express
 (field-of-view, omnidirectional, division)."""
