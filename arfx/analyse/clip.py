@@ -50,7 +50,7 @@ def analyse(
     clip = Analysis(frame_span=frame_span)
     on_plane = job.anchor == PLANE
     if on_plane:
-        clip = plane_poses(clip, job, rows["rest_pictures"], rows["rest_motions"])
+        clip = plane_poses(clip, job, rows["rest_pictures"])
     else:
         clip = marker_poses(clip, rows, job)
     if {"light", "environment"} & {*wanted}:

@@ -43,7 +43,7 @@ class Observation:
         self._others: list[Any] = []
         add = self._others.append
         if not markers and job.poses is None:
-            add(RestCheck())
+            add(RestCheck(job.frames))
         if markers and job.params.static == "auto":
             add(BackgroundFlow(job.frames))
         if markers and lit:

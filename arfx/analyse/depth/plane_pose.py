@@ -11,7 +11,7 @@ import numpy as np
 
 from arfx.analyse.depth.planes import ScenePlane, facing_up, scene_planes
 from arfx.analyse.job import PLANE, PLANE_MARKER, Analysis, AnalysisJob
-from arfx.analyse.pose.at_rest import RestMotion, Snapshot, rests
+from arfx.analyse.pose.at_rest import Snapshot, rests
 from arfx.analyse.pose.figures import figures
 from arfx.core.facts import INTERPOLATED, MEASURED, FrameFacts
 from arfx.core.pose import Pose
@@ -24,21 +24,22 @@ def plane_poses(
     clip: Analysis,
     job: AnalysisJob,
     pictures: Sequence[Snapshot],
-    motions: Sequence[RestMotion],
 ) -> Analysis:
     """The clip with every frame's pose over the dominant plane, whose middle is the world's
-    origin: of a camera at rest, or of given poses. pictures, motions : of RestCheck
+    origin: of a camera at rest, or of given poses. pictures : of RestCheck
 
     Raises NothingToDoError: no plane, or a camera that moves and no poses."""
     maps, given = job.depth, job.poses
     assert maps is not None
     times_s = clip.frame_span[0]
-    still, moved_px = rests(pictures, motions)
-    if given is None and not still:
-        raise NothingToDoError(
-            f"--anchor plane: the camera moves ({moved_px:.1f} px), and no poses are given",
-            "--poses FILE (tx ty tz qx qy qz qw a frame), a camera at rest, or a marker",
-        )
+    if given is None:
+        still, moved_px = rests(pictures)
+        if not still:
+            raise NothingToDoError(
+                f"--anchor plane: the camera moves ({moved_px:.1f} px), and no poses are"
+                " given",
+                "--poses FILE (tx ty tz qx qy qz qw a frame), a camera at rest, or a marker",
+            )
     poses: list[tuple[Pose, bool] | None] = [(Pose.identity(), True)] * len(times_s)
     if given is not None:
         poses = given.of_frames(*clip.frame_span, job.params.max_gap_s)

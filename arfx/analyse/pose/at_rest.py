@@ -9,7 +9,7 @@ Source: docs/methods/pose.md#rest."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
@@ -29,9 +29,8 @@ from arfx.core.rect import Rect
 
 WIDTH_PX = 320  # of the reduced image
 INTERVAL_S = 0.33
-MAX_SAMPLES = (
-    120  # about so many are taken, evenly over the clip: memory does not grow with it
-)
+# about so many are taken, evenly over the clip: memory does not grow with it
+MAX_SAMPLES, MAX_PICTURES = 120, 240
 POINTS = 40
 LEAST_DEPTH_M = 0.1  # nothing filmed stands closer
 NEAREST = (
@@ -52,38 +51,32 @@ _MIN_POINTS = 6
 
 
 class Snapshot(NamedTuple):
-    """A reduced picture. frame : its number;  luma : (h, w) uint8
-    corners : (h, w) uint8, 0 where none is taken;  pixel_px : clip px in one of its own"""
+    """A reduced picture. frame : its number;  luma : (h, w) uint8;  pixel_px : clip px in one
+    of its own"""
 
     frame: int
     luma: ndarray
-    corners: ndarray
     pixel_px: int
 
 
-def snapshot(frame: AnalysisFrame, markers: Iterable[Rect] | None = None) -> Snapshot:
-    """markers : no corners there; without them those that stand out of noise are taken"""
+def snapshot(frame: AnalysisFrame) -> Snapshot:
     height, width = frame.luma.shape
     factor = max(1, width // WIDTH_PX)
     size = width // factor, height // factor
     small = cv2.resize(frame.luma, size, interpolation=cv2.INTER_AREA)
-    rough = markers is not None or local_contrast(small, NEAR_PX)[1] > FLAT
-    corners = np.full(small.shape, rough, np.uint8)
-    for r in markers or ():
-        r = r.pad(max(r.width, r.height) // 3)
-        rows = slice(max(r.y0 // factor, 0), r.y1 // factor + 1)
-        corners[rows, max(r.x0 // factor, 0) : r.x1 // factor + 1] = 0
-    return Snapshot(frame.index, small, corners, factor)
+    return Snapshot(frame.index, small, factor)
 
 
-def follow(first: Snapshot, second: Snapshot) -> tuple[ndarray, ndarray]:
+def follow(
+    first: Snapshot, second: Snapshot, where: ndarray
+) -> tuple[ndarray, ndarray]:
     """Places (n, 2), (n, 2) of the first one's corners in both, clip px; NaN in the second
-    where they are lost.
+    where they are lost. where : (h, w) bool, none are taken elsewhere
     """
-    places = [np.zeros((0, 2, 2))]
+    places, mask = [np.zeros((0, 2, 2))], where.astype(np.uint8)
     evened = (even_contrast(picture.luma, NEAR_PX) for picture in (first, second))
     for before, now in ((first.luma, second.luma), evened):
-        points = cv2.goodFeaturesToTrack(before, POINTS, 0.02, 8, mask=first.corners)
+        points = cv2.goodFeaturesToTrack(before, POINTS, 0.02, 8, mask=mask)
         if points is None or len(points) < _MIN_POINTS:
             continue
         there, missed = follow_points(before, now, points, 3, 11, 30, 0.01)
@@ -113,7 +106,7 @@ class BackgroundFlow:
 
     def __init__(self, frames: int) -> None:
         self.background: list[FlowSample] = []
-        self._before: Snapshot | None = None
+        self._before: tuple[Snapshot, ndarray] | None = None
         self._time_s = -np.inf
         self._even = EvenFrames(frames, MAX_SAMPLES, 0.0)
 
@@ -125,15 +118,29 @@ class BackgroundFlow:
         first = bool(shown) and self._even.due(frame.index, frame.time_s)
         if not first and before is None:
             return
-        now = snapshot(frame, [Rect.around(s.print.corners_px) for s in shown])
-        self._before = now if first else None
+        now = snapshot(frame)
+        if first:
+            self._before = now, _beside(shown, now)
         if before is not None:
-            places = np.stack(follow(before, now))
+            places = np.stack(follow(before[0], now, before[1]))
             here, there = places[:, np.isfinite(places).all((0, 2))].round(3)
             if len(here) >= _MIN_POINTS:
-                later = now.frame - before.frame
-                row = FlowSample(before.frame, later, now.pixel_px, here, there)
+                number = before[0].frame
+                row = FlowSample(
+                    number, now.frame - number, now.pixel_px, here, there
+                )
                 self.background.append(row)
+
+
+def _beside(shown: Sequence[Sighting], picture: Snapshot) -> ndarray:
+    """(h, w) bool, where no print is, nor near one."""
+    out, factor = np.ones(picture.luma.shape, bool), picture.pixel_px
+    for s in shown:
+        r = Rect.around(s.print.corners_px)
+        r = r.pad(max(r.width, r.height) // 3)
+        rows = slice(max(r.y0 // factor, 0), r.y1 // factor + 1)
+        out[rows, max(r.x0 // factor, 0) : r.x1 // factor + 1] = False
+    return out
 
 
 def decide_static(
@@ -181,54 +188,33 @@ def epipolar_distance(
     return np.where(np.isfinite(distance), distance, np.inf)
 
 
-class RestMotion(NamedTuple):
-    """How far the corners of a part's first picture were in a later one. moved_px : the
-    middle one, clip px, 0 where none was found;  rests : whether they stay"""
-
-    frame: int
-    moved_px: float
-    rests: bool
-
-
 class RestCheck:
-    """Compares pictures of a part of the clip with its first one."""
+    """Keeps pictures of the whole clip. frames : of it, about"""
 
-    tables: ClassVar[Mapping[str, type]] = {
-        "rest_pictures": Snapshot,
-        "rest_motions": RestMotion,
-    }
+    tables: ClassVar[Mapping[str, type]] = {"rest_pictures": Snapshot}
 
-    def __init__(self) -> None:
+    def __init__(self, frames: int) -> None:
         self.rest_pictures: list[Snapshot] = []
-        self.rest_motions: list[RestMotion] = []
-        self._next_s = -np.inf
+        self._even = EvenFrames(frames, MAX_PICTURES, INTERVAL_S)
 
     def step(self, frame: AnalysisFrame, _: Sequence[Sighting] = ()) -> None:
-        if frame.time_s < self._next_s:
-            return
-        self._next_s = frame.time_s + INTERVAL_S
-        now = snapshot(frame)
-        if self.rest_pictures:
-            self.rest_motions.append(_motion(self.rest_pictures[0], now))
-        else:
-            self.rest_pictures.append(now)
+        if self._even.due(frame.index, frame.time_s):
+            self.rest_pictures.append(snapshot(frame))
 
 
-def rests(
-    pictures: Sequence[Snapshot], motions: Sequence[RestMotion]
-) -> tuple[bool, float]:
+def rests(pictures: Sequence[Snapshot]) -> tuple[bool, float]:
     """(whether the camera stands still, the farthest that the middle corner was seen from its
-    place, clip px): of `RestCheck`, each part against its own first picture, and these against
-    the clip's."""
-    every = [*motions, *(_motion(pictures[0], later) for later in pictures[1:])]
-    return all(m.rests for m in every), max((m.moved_px for m in every), default=0.0)
-
-
-def _motion(first: Snapshot, now: Snapshot) -> RestMotion:
-    here, there = follow(first, now)
-    away = np.linalg.norm(there - here, axis=1)
-    # a corner that is lost may have left the picture; without any nothing could tell
-    near = away < REST_PX * now.pixel_px
-    stays = not len(away) or bool(near.mean() > AT_REST)
-    moved_px = float(np.nanmedian(away)) if np.isfinite(away).any() else 0.0
-    return RestMotion(now.frame, moved_px, stays)
+    place in the first picture, clip px)."""
+    first = pictures[0]
+    # corners that stand out of noise
+    where = local_contrast(first.luma, NEAR_PX)[1] > FLAT
+    still, farthest_px = True, 0.0
+    for now in pictures[1:]:
+        here, there = follow(first, now, where)
+        away = np.linalg.norm(there - here, axis=1)
+        # a corner that is lost may have left the picture; without any nothing could tell
+        if len(away):
+            still &= bool((away < REST_PX * now.pixel_px).mean() > AT_REST)
+        if np.isfinite(away).any():
+            farthest_px = max(farthest_px, float(np.nanmedian(away)))
+    return still, farthest_px
