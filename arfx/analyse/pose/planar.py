@@ -231,28 +231,20 @@ def _mirrored(rotation: ndarray, translation: ndarray) -> ndarray:
     return mirror @ rotation @ np.diag([1.0, 1.0, -1.0])
 
 
-def planar_poses(
-    corners_m: ndarray,
-    ideal: ndarray,
-    px_per_ideal: ndarray,
-    sigma_px: ndarray,
-) -> PlanarPoses:
-    """Of n sightings, refined; none where no direction leads to a corner.
-
-    corners_m : (n, 4, 3);  ideal : (n, 4, 2);  px_per_ideal : (n, 4, 2, 2);  sigma_px : (n,)
-    """
-    there = np.isfinite(ideal).all((1, 2))
-    weight = np.repeat(there[:, None] * sigma_px[:, None] ** -2.0, 4, 1)
-    ideal = np.where(there[:, None, None], ideal, 0.0)
-    seen = Observed(np.asarray(corners_m), ideal, px_per_ideal, weight)
-    solved = np.zeros((len(ideal), 2, 2, 3))
-    for k in np.flatnonzero(there):
-        both = both_poses(corners_m[k], ideal[k])
+def planar_poses(seen: Observed) -> PlanarPoses:
+    """Of n sightings of four corners, refined; none where no direction leads to a corner."""
+    there = np.isfinite(seen.ideal).all((1, 2))
+    seen = seen._replace(
+        ideal=np.where(there[:, None, None], seen.ideal, 0.0),
+        weight=seen.weight * there[:, None],
+    )
+    solved = np.zeros((len(there), 2, 2, 3))
+    for k, both in enumerate(map(both_poses, seen.points_m, seen.ideal)):
         solved[k, : len(both)] = both
     turn, shift = rotation_from_rotvec(solved[:, :, 0]), solved[:, :, 1]
     ahead = _in_sight(turn, shift)
     # IPPE returns rubbish for a marker that faces the camera exactly: a start of its own
-    facing = _facing_poses(seen.points_m, ideal)
+    facing = _facing_poses(seen.points_m, seen.ideal)
     rotation, translation = (np.repeat(a[:, None], 3, 1) for a in facing)
     rotation[:, :2][ahead], translation[:, :2][ahead] = turn[ahead], shift[ahead]
     poses = _two_best(_refined(rotation, translation, seen))

@@ -31,8 +31,8 @@ from arfx.core.pose import rotation_from_rotvec, rotvec_from_rotation, skew
 
 # Of each axis, the group that shares its noise: turning about the picture's two axes, about
 # the line of sight; sideways; distance; and the camera's turning about itself (Chain.shake),
-# which turns the marker and moves it sideways at once. And of each group its first axis.
-GROUP, _FIRST = [0, 0, 1, 2, 2, 3, 4], [0, 2, 3, 5, 6]
+# which turns the marker and moves it sideways at once.
+GROUP = [0, 0, 1, 2, 2, 3, 4]
 TURN, ROLL, SIDEWAYS, DISTANCE, SHAKE = range(5)
 # (rad, 1)^2 / s^3. Least: drifts by 2e-4 in ten seconds, below anything visible. Most: 1e4
 # turns a frame by 20 degrees.
@@ -158,10 +158,9 @@ def smooth_poses(
     seen: Observed,
     times_s: ndarray,
     strength: float = 1.0,
-) -> tuple[ndarray, ndarray, ndarray, ndarray]:
+) -> tuple[ndarray, ndarray, ndarray]:
     """Smooth n frames of one shot: rotation (n, 3, 3), translation (n, 3), covariance
-    (n, 6, 6) of the left perturbation [rad, m] in the camera frame, and the learned noise
-    (5,) by group, median over the shot.
+    (n, 6, 6) of the left perturbation [rad, m] in the camera frame.
 
     rotation, translation : start, also in frames without corners (any sensible in-between)
     seen : corners, weight 0 where none;  times_s : (n,) increasing;  strength : factor on
@@ -172,21 +171,21 @@ def smooth_poses(
     n = len(times_s)
     borders = np.linspace(0, n, -(-n // _PIECE) + 1).astype(int)
     raw = rotation, translation, np.broadcast_to(_UNKNOWN, (n, 6, 6))
-    out, noise = [a.copy() for a in raw], []
+    out = [a.copy() for a in raw]
     for first, end in pairwise(borders.tolist()):
         around = slice(max(first - _BESIDE, 0), end + _BESIDE)
         part, piece = seen.take(around), [a[around] for a in raw]
         if part.weight.any():
             poses = piece[0], piece[1]
-            *piece, density = _smooth_piece(*poses, part, times_s[around], strength)
-            noise.append(density)
+            piece = [*_smooth_piece(*poses, part, times_s[around], strength)]
         share = (np.arange(n)[around] + 0.5 - first) / (2 * _FADE) + 0.5
         share = np.clip(share, float(not first), 1.0)
         for whole, mixed in zip(
             out, blended([a[around] for a in out], piece, share), strict=True
         ):
             whole[around] = mixed
-    return *out, np.median(noise, axis=0)
+    turned, moved, covariance = out
+    return turned, moved, covariance
 
 
 def blended(
@@ -214,7 +213,7 @@ def _smooth_piece(
     seen: Observed,
     times_s: ndarray,
     strength: float,
-) -> tuple[ndarray, ndarray, ndarray, ndarray]:
+) -> tuple[ndarray, ndarray, ndarray]:
     """As of smooth_poses."""
     on = seen.weight > 0
     centre = seen.points_m[on].mean(0)
@@ -240,8 +239,7 @@ def _smooth_piece(
     covariance = covariances(smooth_chain(path.chain, density).factor)
     to_left = _to_left(_position(path.rotation, path.translation, centre)[0])
     covariance = to_left @ covariance[:, :6, :6] @ np.swapaxes(to_left, 1, 2)
-    middle = np.median(density[:, _FIRST], axis=0)
-    return path.rotation, path.translation, covariance, middle
+    return path.rotation, path.translation, covariance
 
 
 @dataclass

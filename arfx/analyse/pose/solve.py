@@ -75,7 +75,7 @@ def solve_poses(
             " or none lasts for three frames",
             "are the marker's size and the camera calibration right, and of this clip?",
         )
-    rotation, translation, covariance, noise = smoothed(
+    rotation, translation, covariance = smoothed(
         path, present, times, params.smoothing, sightings.common_px
     )
     seen, on = path.observed, path.measured
@@ -118,13 +118,10 @@ def solve_poses(
             "raw": quantiles(raw_px[on]),
             "smoothed": quantiles(smooth_px[on]),
         },
-        pose_condition=quantiles(_conditions(path)),
         flips_resolved=path.flips,
-        sigma_factor=sightings.sigma_factor,
         duplicates=len(again),
         dropped=path.dropped,
         map={"given": marker_map is not None, **layout.to_json()},
-        motion_noise=noise,
     )
     usual_px = max(USUAL_PX, 1e-3 * max(camera.width, camera.height))
     return Analysis(
@@ -143,15 +140,13 @@ def smoothed(
     times_s: ndarray,
     strength: float,
     common_px: ndarray,
-) -> tuple[ndarray, ndarray, ndarray, list[list[float]]]:
+) -> tuple[ndarray, ndarray, ndarray]:
     """The path over each interval of `present` frames, as it is where strength is 0: rotation
-    (n, 3, 3), translation (n, 3), covariance (n, 6, 6) of every frame that is present; the
-    noise learned of each interval.
+    (n, 3, 3), translation (n, 3), covariance (n, 6, 6) of every frame that is present.
 
     common_px : of Sightings"""
     rotation, translation = path.rotation.copy(), path.translation.copy()
     covariance = np.zeros((len(rotation), 6, 6))
-    noise = []
     for interval in present:
         at = np.arange(*interval)
         on = at[path.measured[at]]
@@ -165,10 +160,9 @@ def smoothed(
         rotation[gap], translation[gap], _ = blended(start, end, share)
         part = path.observed.take(at)
         if strength > 0 and len(at) > 1:
-            rotation[at], translation[at], covariance[at], learned = smooth_poses(
+            rotation[at], translation[at], covariance[at] = smooth_poses(
                 rotation[at], translation[at], part, times_s[at], strength
             )
-            noise.append(learned.tolist())
         else:
             info = information(rotation[at], translation[at], part)
             covariance[at] = np.linalg.pinv(info, hermitian=True)
@@ -180,17 +174,7 @@ def smoothed(
         covariance[at] += np.stack(
             [np.interp(times_s[at], times_s[on], entry) for entry in common.T], -1
         ).reshape(-1, 6, 6)
-    return rotation, translation, covariance, noise
-
-
-def _conditions(path: WorldPath) -> ndarray:
-    """Condition number of every measured pose, each parameter in units of its precision."""
-    on = path.measured
-    info = information(
-        path.rotation[on], path.translation[on], path.observed.take(on)
-    )
-    d = np.sqrt(np.maximum(np.einsum("nii->ni", info), 1e-30))
-    return np.linalg.cond(info / d[:, :, None] / d[:, None])
+    return rotation, translation, covariance
 
 
 def _notices(
