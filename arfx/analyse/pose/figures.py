@@ -39,7 +39,6 @@ def figures(
             m.ambiguity < 4.0 for f in facts for m in f.markers
         ),
         "markers_seen": {k: seen[k] for k in keys},
-        "map": {"given": True, "frames": 0, "unmapped": []},
         **more,
     }
 
@@ -57,53 +56,50 @@ def quantiles(values: Sequence[float] | ndarray) -> dict[str, float | None]:
 def pose_checks(
     facts: Sequence[FrameFacts], summary: Mapping[str, Any]
 ) -> Iterator[Check]:
-    def at_most(
-        name: str, value: float | None, limit: float, action: str
-    ) -> Iterator[Check]:
+    turn_deg, shift_percent = _deviations(facts)
+    spread = "pose standard deviation, 95th percentile"
+    weak = "pose is weak: larger or more tilted marker"
+    for name, value, limit, action in (
+        (
+            "reprojection median (px)",
+            summary["reprojection_px"]["smoothed"]["median"],
+            1.0,
+            "check marker size, calibration and lens mode",
+        ),
+        (
+            "ambiguous sightings",
+            summary["ambiguous_sightings"],
+            sum(summary["markers_seen"].values()) // 2,
+            "two planar poses fit almost equally: chosen by the motion of the whole clip",
+        ),
+        (f"{spread} (deg)", turn_deg, 2.0, weak),
+        (f"{spread} (% of distance)", shift_percent, 2.0, weak),
+        (
+            "marker map condition number",
+            summary.get("map", {}).get("condition"),
+            1e6,
+            "show the markers together in more frames",
+        ),
+    ):
         if value is not None:
             yield Check(name, value, limit, value <= limit, action)
 
-    yield from at_most(
-        "reprojection median (px)",
-        summary["reprojection_px"]["smoothed"]["median"],
-        1.0,
-        "check marker size, calibration and lens mode",
-    )
-    action = (
-        "two planar poses fit almost equally: chosen by the motion of the whole clip"
-    )
-    half = sum(summary["markers_seen"].values()) // 2
-    yield from at_most(
-        "ambiguous sightings", summary["ambiguous_sightings"], half, action
-    )
-    spread = [s for s in map(_deviation, facts) if s is not None]
-    if spread:
-        turn, shift = np.percentile(spread, 95, axis=0).tolist()
-        name = "pose standard deviation, 95th percentile"
-        weak = "pose is weak: larger or more tilted marker"
-        yield from at_most(f"{name} (deg)", turn, 2.0, weak)
-        yield from at_most(f"{name} (% of distance)", shift, 2.0, weak)
-    if not summary["map"]["given"]:
-        yield from at_most(
-            "marker map condition number",
-            summary["map"].get("condition"),
-            1e6,
-            "show the markers together in more frames",
-        )
 
-
-def _deviation(f: FrameFacts) -> tuple[float, float] | None:
-    """(degrees, percent of the distance), the largest axis of each; None without a pose or
-    covariance.
+def _deviations(
+    facts: Sequence[FrameFacts],
+) -> tuple[float, float] | tuple[None, None]:
+    """95th percentiles of (degrees, percent of the distance), the largest axis of each; None
+    where no frame has a pose and its covariance.
     """
-    if f.pose_covariance is None or f.camera_from_world is None:
-        return None
-    c = f.pose_covariance
-    if not np.isfinite(c).all():
-        return np.inf, np.inf
+    known = [f for f in facts if f.pose_covariance is not None]
+    if not known:
+        return None, None
+    covariance = np.array([f.pose_covariance for f in known])
+    away_m = np.linalg.norm([f.pose.translation_m for f in known], axis=1)
     turn, shift = (
-        float(np.sqrt(max(np.linalg.eigvalsh(c[s, s])[-1], 0.0)))
+        np.sqrt(np.maximum(np.linalg.eigvalsh(covariance[:, s, s])[:, -1], 0.0))
         for s in (slice(0, 3), slice(3, 6))
     )
-    away = float(np.linalg.norm(f.camera_from_world.translation_m))
-    return float(np.degrees(turn)), float(divide(100 * shift, away))
+    both = np.degrees(turn), divide(100 * shift, away_m)
+    turn_deg, percent = np.percentile(both, 95, axis=1).tolist()
+    return turn_deg, percent

@@ -58,20 +58,20 @@ class Prints(NamedTuple):
 
 class MarkerMap(NamedTuple):
     """world_from_marker by key;  unmapped keys;  frames used;  rms_px of the adjustment, 0
-    without one;  condition : of the reduced normal matrix, 1 without one
+    without one;  condition : of the reduced normal matrix, None without one, or infinite
     """
 
     world_from_marker: dict[str, Pose]
     unmapped: tuple[str, ...] = ()
     frames: int = 0
     rms_px: float = 0.0
-    condition: float = 1.0
+    condition: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         return {
             "frames": self.frames,
             "rms_px": self.rms_px,
-            "condition": self.condition if np.isfinite(self.condition) else None,
+            "condition": self.condition,
             "unmapped": list(self.unmapped),
         }
 
@@ -197,7 +197,9 @@ def _adjust(
         turn, shift = apply_step(turn, shift, step.reshape(m, 6))
     rms = float(np.sqrt(np.mean(rms_px(r, seen.weight) ** 2)))
     poses = dict(zip(start, map(Pose, turn, shift), strict=True))
-    return MarkerMap(poses, unmapped, n, rms, condition(reduced))
+    weakness = condition(reduced)
+    told = weakness if np.isfinite(weakness) else None
+    return MarkerMap(poses, unmapped, n, rms, told)
 
 
 def arrays(poses: Sequence[Pose]) -> tuple[ndarray, ndarray]:
