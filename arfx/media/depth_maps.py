@@ -44,8 +44,8 @@ SIGMA = 6.0  # grey levels that count as an edge
 _FAINT = 1e-6  # a mask smoothed to less than this carries nothing: the nearest known value is used
 
 
-# names, read and times_s of DepthMaps
-Source = tuple[Sequence[str], Callable[[int], ndarray], Sequence[float] | None]
+# files, count, read and times_s of DepthMaps
+Source = tuple[Sequence[Path], int, Callable[[int], ndarray], Sequence[float] | None]
 
 
 def _open_video(path: Path) -> tuple[Callable[[int], ndarray], tuple[float, ...]]:
@@ -93,27 +93,30 @@ def _page(path: Path, number: int) -> ndarray:
 
 @dataclass(frozen=True)
 class DepthMaps:
-    """names : of each map what messages call it;  read : gives one as it is stored, by number
+    """files : one, or one for each map;  count : of maps;  read : gives one as it is stored, by
+    number
     steps_per_m : stored values to a metre, None = by kind (integers: millimetres, floats:
     metres)
     times_s : of each map after the first one, where they are known, else None;  start_s :
     of the first, after the clip's"""
 
     path: Path
-    names: Sequence[str]
+    files: Sequence[Path]
+    count: int
     read: Callable[[int], ndarray]
     times_s: Sequence[float] | None
     steps_per_m: float | None
     start_s: float
 
     @property
-    def count(self) -> int:
-        return len(self.names)
-
-    @property
     def still(self) -> bool:
         """One map for every frame."""
         return self.count == 1
+
+    def name(self, number: int) -> str:
+        """What messages call a map."""
+        own = self.count == len(self.files)
+        return str(self.files[number]) if own else f"{self.path}, map {number}"
 
     def of_frames(
         self, times_s: list[float], before: int, whole: bool
@@ -139,7 +142,7 @@ class DepthMaps:
         """(h, w) float32 metres of a map at its own size; nothing measured = 0.
         width, height : of the clip. Raises InputError: unreadable, of another kind or shape.
         """
-        raw, name = self.read(number), self.names[number]
+        raw, name = self.read(number), self.name(number)
         if raw.ndim != 2 or raw.dtype not in (np.uint16, np.float32):
             channels = 1 if raw.ndim == 2 else raw.shape[2]
             kind = f"{raw.dtype} with {channels} channel{'s' if raw.ndim > 2 else ''}"
@@ -178,22 +181,18 @@ def _of_file(path: Path) -> Source:
     suffix = path.suffix.lower()
     if suffix in VIDEO:
         read, times_s = _open_video(path)
-        return _numbered(path, len(times_s)), read, times_s
+        return [path], len(times_s), read, times_s
     if suffix in TIFF:
         check_size(regular(path, "depth"), path, "depth map")
         count = cv2.imcount(str(path), cv2.IMREAD_UNCHANGED)
         if count < 1:
             hint = "16-bit or float pages"
             raise InputError(f"depth {path} cannot be read as a TIFF", hint)
-        return _numbered(path, count), partial(_page, path), None
+        return [path], count, partial(_page, path), None
     if suffix not in SUFFIXES:
         hint = f"{_KINDS}; a folder of them; or a video of 16-bit grey (FFV1)"
         raise InputError(f"depth {path} is not a depth map", hint)
-    return [str(path)], partial(_picture, [path]), None
-
-
-def _numbered(path: Path, count: int) -> list[str]:
-    return [f"{path}, map {k}" for k in range(count)]
+    return [path], 1, partial(_picture, [path]), None
 
 
 def _picture(files: Sequence[Path], number: int) -> ndarray:
@@ -227,7 +226,7 @@ def _of_folder(path: Path) -> Source:
             what = f"depth folder {path}: two maps have the same time in their names"
             raise InputError(what)
         since_s = tuple((times - times[0]).tolist())
-    return [*map(str, found)], partial(_picture, found), since_s
+    return found, len(found), partial(_picture, found), since_s
 
 
 def fill_holes(depth_m: ndarray, guide: ndarray) -> ndarray:

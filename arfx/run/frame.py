@@ -161,7 +161,7 @@ def real_depth_layer(
     depth = maps.load(real.map, camera.width, camera.height)
     if not depth.any():
         raise InputError(
-            f"depth map {maps.names[real.map]} has changed since the analysis",
+            f"depth map {maps.name(real.map)} has changed since the analysis",
             "start the job again",
         )
     whole = fill_holes(depth, np.ascontiguousarray(frame.luma()))

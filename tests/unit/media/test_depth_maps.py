@@ -30,7 +30,7 @@ def test_order_is_that_of_numbers_and_the_count_must_be_the_clips(
     tmp_path: Path,
 ) -> None:
     found = open_depth(maps(tmp_path / "d", "2.pgm", "10.pgm", "1.pgm"))
-    assert [Path(name).name for name in found.names] == ["1.pgm", "2.pgm", "10.pgm"]
+    assert [p.name for p in found.files] == ["1.pgm", "2.pgm", "10.pgm"]
     assert found.of_frames([0.0, 0.1, 0.2], 0, whole=True) == [0, 1, 2]
     assert found.of_frames([0.1], 1, whole=False) == [1]  # --start, --end
     with pytest.raises(InputError, match="holds 3 maps, the clip has 2 frames"):

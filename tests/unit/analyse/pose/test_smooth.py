@@ -18,7 +18,7 @@ from arfx.analyse.pose import smooth
 from arfx.analyse.pose.chain import Chain
 from arfx.analyse.pose.planar import Observed
 from arfx.analyse.pose.sightings import Sightings
-from arfx.analyse.pose.smooth import LEAST, SHAKE, SIDEWAYS
+from arfx.analyse.pose.smooth import GROUP, LEAST, SHAKE, SIDEWAYS
 from arfx.analyse.pose.solve import solve_poses
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
@@ -30,6 +30,7 @@ M = MarkerSpec("36h11", 3, 0.16)
 CAM = camera()
 N = 100
 T = np.arange(N) / 30
+_SHAKE, _SIDEWAYS = GROUP.index(SHAKE), GROUP.index(SIDEWAYS)
 
 
 def away(side_px: float) -> float:
@@ -128,15 +129,16 @@ def shaken(seed: int) -> list[Pose]:
 
 @pytest.fixture
 def densities(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
-    """Of the shots that are smoothed, by group, one of each attempt."""
+    """Of the shots that are smoothed (7,) of the axes, medians, one of each attempt."""
     found: list[np.ndarray] = []
-    of_shot = smooth._density_of_shot
+    over_time = smooth._density_over_time
 
-    def kept(chain: Chain) -> np.ndarray:
-        found.append(of_shot(chain))
-        return found[-1]
+    def kept(chain: Chain, shot: np.ndarray) -> np.ndarray:
+        density = over_time(chain, shot)
+        found.append(np.median(density, axis=0))
+        return density
 
-    monkeypatch.setattr(smooth, "_density_of_shot", kept)
+    monkeypatch.setattr(smooth, "_density_over_time", kept)
     return found
 
 
@@ -154,7 +156,7 @@ def test_a_hands_shake_is_told_from_where_the_marker_is(
         errors.append(
             [rms(pose_errors(a.facts, truth, raw)[0]) for raw in (True, False)]
         )
-        assert any(q[SHAKE] > 10 * q[SIDEWAYS] for q in densities)
+        assert any(q[_SHAKE] > 10 * q[_SIDEWAYS] for q in densities)
         densities.clear()
     single, smoothed = np.median(errors, axis=0)
     assert smoothed < 0.5 * single
@@ -169,7 +171,7 @@ def test_a_marker_that_is_carried_is_no_shake(densities: list[np.ndarray]) -> No
         for t in T
     ]
     a = analysed(records(CAM, truth, T, {M: Pose.identity()}, 0.05))
-    assert [q[SHAKE] for q in densities] == pytest.approx([LEAST] * len(densities))
+    assert [q[_SHAKE] for q in densities] == pytest.approx([LEAST] * len(densities))
     assert (
         rms(pose_errors(a.facts, truth, raw=False)[0])
         < rms(pose_errors(a.facts, truth, raw=True)[0]) / 4
