@@ -82,7 +82,7 @@ def plane() -> Items:
         "the plane that was found is not the table",
         below=0.5,
     )
-    found = scene_planes([(depth, pose)], camera)[0].real_plane()
+    found = scene_planes([(depth, pose)], camera)[0]
     centre = 1e2 * np.linalg.norm(found.world_from_plane.translation_m[:2])
     yield row(
         "step 1, where the object stands",

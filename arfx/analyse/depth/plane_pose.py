@@ -9,12 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from arfx.analyse.depth.planes import ScenePlane, facing_up, scene_planes
+from arfx.analyse.depth.planes import facing_up, scene_planes
 from arfx.analyse.job import PLANE, PLANE_MARKER, Analysis, AnalysisJob
 from arfx.analyse.pose.at_rest import Snapshot, rests
 from arfx.analyse.pose.figures import figures
 from arfx.core.facts import INTERPOLATED, MEASURED, FrameFacts
 from arfx.core.pose import Pose
+from arfx.core.real_depth import RealPlane
 from arfx.errors import NothingToDoError
 
 MAPS = 4  # that planes are looked for in, over the clip
@@ -63,7 +64,7 @@ def plane_poses(
             "a table or floor has to be seen from above, by a camera held upright; or"
             " use a marker",
         )
-    plane = level[0].real_plane()
+    plane = level[0]
     facts = [FrameFacts(k, t) for k, t in enumerate(times_s)]
     for k, pose in enumerate(poses):
         if pose is not None:
@@ -99,13 +100,12 @@ def with_real_planes(clip: Analysis, job: AnalysisJob) -> Analysis:
         for f in clip.facts
         if f.real_depth is not None and f.camera_from_world is not None
     ]
-    planes = tuple(p.real_plane() for p in _planes_seen(known, job))
-    return replace(clip, real_planes=planes)
+    return replace(clip, real_planes=tuple(_planes_seen(known, job)))
 
 
 def _planes_seen(
     known: Sequence[tuple[int, float, Pose]], job: AnalysisJob
-) -> list[ScenePlane]:
+) -> list[RealPlane]:
     """In MAPS of these, evenly. known : number of each map, scale and camera_from_world"""
     at = np.linspace(0, len(known) - 1, min(MAPS, len(known))).astype(int)
     taken = list[tuple[int, float, Pose]]()

@@ -221,7 +221,7 @@ class ScenePlane(NamedTuple):
     noise_m: float
     frames: int
 
-    def real_plane(self) -> RealPlane:
+    def measured(self) -> RealPlane:
         """About the middle of what was seen."""
         x = normalise(self.right - (self.right @ self.normal) * self.normal)
         axes = np.stack([x, np.cross(self.normal, x), self.normal], 1)
@@ -251,7 +251,7 @@ class ScenePlane(NamedTuple):
 
 def scene_planes(
     maps: Sequence[tuple[ndarray, Pose]], camera: Camera
-) -> list[ScenePlane]:
+) -> list[RealPlane]:
     """maps : (depth (h, w) metres, 0 = unknown; camera_from_world) of some frames. Those
     seen most first.
     """
@@ -273,7 +273,7 @@ def scene_planes(
                 1,
             )
             _join(out, plane)
-    return sorted(out, key=lambda p: -len(p.points))
+    return [p.measured() for p in sorted(out, key=lambda p: -len(p.points))]
 
 
 def _join(planes: list[ScenePlane], new: ScenePlane) -> None:
@@ -294,12 +294,13 @@ def _join(planes: list[ScenePlane], new: ScenePlane) -> None:
 
 
 def facing_up(
-    planes: Sequence[ScenePlane], camera_from_world: Sequence[Pose]
-) -> list[ScenePlane]:
+    planes: Sequence[RealPlane], camera_from_world: Sequence[Pose]
+) -> list[RealPlane]:
     """Those on which something can stand, the one seen most first."""
     up = normalise(-np.mean([p.rotation[1] for p in camera_from_world], 0))
     return [
         p
         for p in planes
-        if p.normal @ up > UPRIGHT and p.real_plane().area_m2 >= LEAST_AREA_M2
+        if p.world_from_plane.rotation[:, 2] @ up > UPRIGHT
+        and p.area_m2 >= LEAST_AREA_M2
     ]

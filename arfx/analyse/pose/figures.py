@@ -29,12 +29,10 @@ def figures(
         "frames_measured": count[MEASURED],
         "frames_interpolated": count[INTERPOLATED],
         "frames_absent": count[ABSENT],
-        "shots": facts[-1].shot + 1,
         "cuts": [b.index for a, b in pairwise(facts) if a.shot != b.shot],
         "flips_resolved": 0,
         "whole_frame_searches": sum(f.whole_frame_search for f in facts),
         "reprojection_px": {"raw": quantiles([]), "smoothed": quantiles([])},
-        "sigma_px": quantiles([m.sigma_px for f in facts for m in f.markers]),
         "ambiguous_sightings": sum(
             m.ambiguity < 4.0 for f in facts for m in f.markers
         ),

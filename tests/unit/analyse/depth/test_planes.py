@@ -153,7 +153,7 @@ def test_planes_of_several_maps_are_one_and_the_floor_is_to_stand_on() -> None:
     assert len(planes) == 3 and all(p.frames == 2 for p in planes)
     best = facing_up(planes, poses)
     assert len(best) == 1
-    plane = best[0].real_plane()
+    plane = best[0]
     stands = plane.world_from_plane
     assert abs(stands.translation_m[2]) < 0.004 and stands.rotation[2, 2] > 0.9999
     assert (
@@ -192,10 +192,7 @@ def test_a_table_ends_and_the_floor_goes_on_beyond_the_picture() -> None:
     """The table's four sides are in the picture; the floor ends at the walls and is cut by
     the picture's lower border.
     """
-    planes = [
-        p.real_plane()
-        for p in scene_planes([(room(noise=0.001, table=True), POSE)], CAMERA)
-    ]
+    planes = scene_planes([(room(noise=0.001, table=True), POSE)], CAMERA)
     level = sorted(
         (p for p in planes if p.world_from_plane.rotation[2, 2] > 0.95),
         key=lambda p: p.world_from_plane.translation_m[2],
