@@ -70,7 +70,6 @@ def plane() -> Items:
         depth = np.where(((at > low) & (at < high)).all(-1), t * rays[..., 2], depth)
     depth += np.random.default_rng(4).normal(0, 0.003, depth.shape)
     cloud = cloud_of(depth, camera)
-    assert cloud is not None
     table = find_planes(cloud)[0]
     up = turn[:, 2]
     angle = np.degrees(angle_between(table.normal, up))

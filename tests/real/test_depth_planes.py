@@ -51,7 +51,6 @@ def test_the_floor_before_a_kinect(number: int) -> None:
 
 def test_a_rendered_room() -> None:
     cloud = cloud_of(depth("ch12_dense_RGBD/depth/1.png", 5000), ICL)
-    assert cloud is not None
     found = find_planes(cloud)
     off_mm = [
         1e3 * np.abs(cloud.points[p.inliers] @ p.normal - p.offset_m) for p in found

@@ -64,10 +64,8 @@ class Cloud(NamedTuple):
     patches: ndarray
 
 
-def cloud_of(depth_m: ndarray, camera: Camera) -> Cloud | None:
-    """depth_m : (h, w) along the optical axis, not finite or <= 0 = not measured.
-
-    None where too little is."""
+def cloud_of(depth_m: ndarray, camera: Camera) -> Cloud:
+    """depth_m : (h, w) along the optical axis, not finite or <= 0 = not measured."""
     known = np.isfinite(depth_m) & (depth_m > 0)
     h, w = depth_m.shape
     step = max(1, int(np.sqrt(known.sum() / MOST_POINTS)))
@@ -75,8 +73,6 @@ def cloud_of(depth_m: ndarray, camera: Camera) -> Cloud | None:
     pixels, own = np.stack([x, y], -1).astype(float), camera.scaled_to(w, h)
     rays = own.directions(pixels)
     keep = known[y, x] & np.isfinite(rays).all(-1)
-    if keep.sum() < PATCH**2:
-        return None
     rays[~keep], near = 0.0, divide(keep, depth_m[y, x])
     patches, noise = _patches(rays, near)
     z, grid = 1 / near[keep], np.full(keep.shape, -1)
@@ -257,9 +253,7 @@ def scene_planes(
     """
     out: list[ScenePlane] = []
     for depth, pose in maps:
-        if (cloud := cloud_of(depth, camera)) is None:
-            continue
-        world_from_camera = pose.inverse()
+        cloud, world_from_camera = cloud_of(depth, camera), pose.inverse()
         for found in find_planes(cloud):
             rows = found.inliers
             cosine = np.abs(normalise(cloud.rays[rows]) @ found.normal)

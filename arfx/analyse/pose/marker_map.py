@@ -67,14 +67,6 @@ class MarkerMap(NamedTuple):
     rms_px: float = 0.0
     condition: float | None = None
 
-    def to_json(self) -> dict[str, Any]:
-        return {
-            "frames": self.frames,
-            "rms_px": self.rms_px,
-            "condition": self.condition,
-            "unmapped": list(self.unmapped),
-        }
-
 
 def map_markers(prints: Prints, keys: Sequence[str]) -> MarkerMap:
     """keys : of the markers, configured order."""

@@ -121,7 +121,13 @@ def solve_poses(
         flips_resolved=path.flips,
         duplicates=len(again),
         dropped=path.dropped,
-        map={"given": marker_map is not None, **layout.to_json()},
+        map={
+            "given": marker_map is not None,
+            "frames": layout.frames,
+            "rms_px": layout.rms_px,
+            "condition": layout.condition,
+            "unmapped": list(layout.unmapped),
+        },
     )
     usual_px = max(USUAL_PX, 1e-3 * max(camera.width, camera.height))
     return Analysis(
