@@ -135,17 +135,17 @@ def world_path(
     # larger print.
     there = prints.there
     missed = (_misses(rotation, translation, seen) > 1).any(1) & (there.sum(1) > 1)
-    again, dropped = np.flatnonzero(missed), 0
-    for k in again:
-        r, t = turn[k][known[k]], shift[k][known[k]]
-        # a single marker says less about its neighbours than all together: three times the gate
-        agree = _misses(r, t, seen.take(np.full(len(r), k))) <= 3
-        best = (agree & there[k]).sum(1).argmax()
-        rotation[k], translation[k] = r[best], t[best]
-        seen.weight[k] *= agree[best].repeat(4)
-        dropped += int((there[k] & ~agree[best]).sum())
+    single = known & missed[:, None, None]
+    index = np.nonzero(single)[0]
+    r, t = turn[single], shift[single]
+    # a single marker says less about its neighbours than all together: three times the gate
+    agree = (_misses(r, t, seen.take(index)) <= 3) & there[index]
+    best = best_of_each(index, -agree.sum(1))
+    again, agree = index[best], agree[best]
+    dropped = int((there[again] & ~agree).sum())
+    seen.weight[again] *= agree.repeat(4, 1)
     rotation[again], translation[again], _ = refine_poses(
-        rotation[again], translation[again], seen.take(again)
+        r[best], t[best], seen.take(again)
     )
     return WorldPath(rotation, translation, measured, seen, flips, dropped)
 
