@@ -14,6 +14,8 @@ from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
 from arfx.core.numerics import divide
 from arfx.core.stage import Check
 
+_UNKNOWN = {"median": None, "p95": None}
+
 
 def figures(
     facts: Sequence[FrameFacts], keys: Sequence[str], **more: Any
@@ -32,7 +34,7 @@ def figures(
         "cuts": [b.index for a, b in pairwise(facts) if a.shot != b.shot],
         "flips_resolved": 0,
         "whole_frame_searches": sum(f.whole_frame_search for f in facts),
-        "reprojection_px": {"raw": quantiles([]), "smoothed": quantiles([])},
+        "reprojection_px": {"raw": _UNKNOWN, "smoothed": _UNKNOWN},
         "ambiguous_sightings": sum(
             m.ambiguity < 4.0 for f in facts for m in f.markers
         ),
@@ -41,14 +43,11 @@ def figures(
     }
 
 
-def quantiles(values: Sequence[float] | ndarray) -> dict[str, float | None]:
-    v = np.asarray(values, float)
-    v = v[np.isfinite(v)]
-    return (
-        {"median": float(np.median(v)), "p95": float(np.quantile(v, 0.95))}
-        if len(v)
-        else {"median": None, "p95": None}
-    )
+def quantiles(values: ndarray) -> dict[str, float]:
+    return {
+        "median": float(np.median(values)),
+        "p95": float(np.quantile(values, 0.95)),
+    }
 
 
 def pose_checks(

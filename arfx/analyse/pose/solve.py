@@ -189,7 +189,7 @@ def _notices(
     """again : keys of prints that were there twice, one each time"""
     unmapped, dropped = summary["map"]["unmapped"], summary["dropped"]
     bridged = summary["frames_interpolated"]
-    misfit_px = summary["reprojection_px"]["raw"]["median"] or 0.0
+    misfit_px = summary["reprojection_px"]["raw"]["median"]
     notices = (
         (
             unmapped,
