@@ -1,8 +1,6 @@
 """The light of the frames that share one static frame: read off the markers, given, or
 taken from the surroundings."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
