@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from arfx.analyse.pose.planar import planar_poses
+from arfx.analyse.pose.planar import Observed, planar_poses
 from arfx.core.pose import Pose
 
 
@@ -17,7 +17,8 @@ def planar(
     """(camera_from_marker, rms over the corners in px), best first; none, one or two.
 
     corners_m : (4, 3);  ideal : (4, 2);  px_per_ideal : (4, 2, 2)"""
-    rows = (a[None] for a in (corners_m, ideal, px_per_ideal))
-    found = planar_poses(*rows, np.array([sigma_px]))
+    weight = np.full(4, sigma_px**-2.0)
+    rows = (np.asarray(a)[None] for a in (corners_m, ideal, px_per_ideal, weight))
+    found = planar_poses(Observed(*rows))
     both = zip(*(part[0][found.known[0]] for part in found), strict=True)
     return [(Pose(turn, shift), float(error)) for turn, shift, error in both]

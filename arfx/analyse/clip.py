@@ -34,7 +34,7 @@ from arfx.analyse.markers.search import (
 from arfx.analyse.motion.advection import AROUND, with_advection
 from arfx.analyse.motion.flow import KeyPicture, MotionStep, joined_steps
 from arfx.analyse.observe import ClipRows
-from arfx.analyse.pose.at_rest import FlowSample, RestMotion, RestPicture
+from arfx.analyse.pose.at_rest import FlowSample, RestPicture
 from arfx.analyse.pose.figures import pose_checks
 from arfx.analyse.pose.solve import solve_poses
 from arfx.analyse.pose.visibility import with_model
@@ -52,12 +52,13 @@ def analyse(
     name, beside the poses;  frame_span : as of Analysis
 
     Raises NothingToDoError where nothing was seen to stand on."""
-    clip = Analysis(frame_span=frame_span)
+    whole = Analysis(frame_span=frame_span)
     on_plane = job.anchor == PLANE
-    if on_plane:
-        clip = plane_poses(clip, job, rows[RestPicture], rows[RestMotion])
-    else:
-        clip = marker_poses(clip, rows, job)
+    clip = (
+        plane_poses(whole, job, rows[RestPicture])
+        if on_plane
+        else marker_poses(whole, rows, job)
+    )
     if {"light", "environment"} & {*wanted}:
         snapshots = rows[Snapshot]
         samples = environment_samples(snapshots, clip, job.camera)

@@ -31,7 +31,7 @@ class Observation:
         self._others: list[Any] = []
         add = self._others.append
         if not markers and job.poses is None:
-            add(RestCheck())
+            add(RestCheck(frames))
         if markers and job.params.static == "auto":
             add(BackgroundFlow(frames))
         if markers and lit:

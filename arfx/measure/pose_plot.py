@@ -28,7 +28,7 @@ def pose_plot(
     jitter = []
     if camera is not None and points_m is not None and len(facts) > 2:
         for raw in (True, False):
-            _, px = jitter_px(facts, points_m, camera, raw)
+            px = jitter_px(facts, points_m, camera, raw)
             known = np.isfinite(px).any()
             middle = f"median {np.nanmedian(px):.3g} px" if known else "unknown"
             label = f"{'before' if raw else 'after'} smoothing, {middle}"

@@ -1,12 +1,9 @@
 """What calibration files of all formats hold, as names and values; recognised by content."""
 
 import contextlib
-import gzip
 import io
 import re
-import struct
 import tomllib
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,7 +14,6 @@ import yaml
 from numpy import ndarray
 
 from arfx.core.opener import (
-    LIMITS,
     MAX_NESTING,
     MIB,
     as_text,
@@ -29,8 +25,8 @@ from arfx.errors import InputError
 
 SUPPORTED = (
     "OpenCV YAML, XML or JSON (camera_matrix, distortion_coefficients, image_width,"
-    " image_height), NumPy .npz with these names, ROS camera_info YAML, COLMAP cameras.txt"
-    " or cameras.bin, Kalibr camchain YAML, WPILib or PhotonVision JSON; YAML or JSON with"
+    " image_height), NumPy .npz with these names, ROS camera_info YAML, COLMAP cameras.txt,"
+    " Kalibr camchain YAML, WPILib or PhotonVision JSON; YAML or JSON with"
     " fx, fy, width, height and maybe cx, cy, distortion"
 )
 TABLES = tomllib.loads(Path(__file__).with_name("cameras.toml").read_text("utf-8"))
@@ -75,15 +71,14 @@ def read_document(path: Path) -> Document:
 
     Raises CameraFileError, InputError."""
     data = read_bytes(path, "camera file")
-    if data.startswith(b"\x1f\x8b"):
-        data = _unpacked(data)
     for other in TABLES["others"]:
         if data.startswith(other["start"].encode("latin-1")):
             raise CameraFileError(other["what"], other["hint"])
     if data.startswith(b"PK"):
         return _numpy(data)
-    if rows := _colmap_binary(data):
-        return _colmap(rows)
+    if path.name == "cameras.bin":
+        hint = "colmap model_converter --output_type TXT writes cameras.txt"
+        raise CameraFileError("COLMAP's binary model is not read", hint)
     text = as_text(data, path, "camera file")
     rows = [
         words for line in text.splitlines() if (words := line.split("#")[0].split())
@@ -116,18 +111,6 @@ def number(value: Any) -> float:
     return float(value)
 
 
-def _unpacked(data: bytes) -> bytes:
-    limit = int(LIMITS["camera file"] * MIB)
-    try:
-        with gzip.open(io.BytesIO(data)) as file:
-            out = file.read(limit + 1)
-    except (OSError, EOFError, zlib.error):
-        raise CameraFileError("it is a damaged gzip file") from None
-    if len(out) > limit:
-        raise CameraFileError(f"it unpacks to more than {limit} bytes")
-    return out
-
-
 def _numpy(data: bytes) -> Document:
     """Arrays by name, without those that hold Python objects."""
     out: dict[str, Any] = {}
@@ -144,24 +127,6 @@ def _numpy(data: bytes) -> Document:
             f"{what}: damaged, or unpacks to more than 4 MiB"
         ) from None
     return out
-
-
-def _colmap_binary(data: bytes) -> list[list[Any]]:
-    """The rows of a cameras.bin as in a cameras.txt, none if the bytes are something else."""
-    rows = list[list[Any]]()
-    with contextlib.suppress(struct.error, IndexError):
-        (count,), at = struct.unpack_from("<Q", data), 8
-        while at < len(data):
-            camera, model, *size = struct.unpack_from("<IIQQ", data, at)
-            name, names = list(TABLES["colmap"].items())[model]
-            values = struct.Struct(f"<{len(names.split())}d")
-            rows.append(
-                [str(camera), name, *size, *values.unpack_from(data, at + 24)]
-            )
-            at += 24 + values.size
-        if len(rows) == count:
-            return rows
-    return []
 
 
 def _colmap(rows: list[list[Any]]) -> dict[str, Any]:

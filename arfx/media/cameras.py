@@ -1,9 +1,9 @@
 """Camera calibration files: reads what other tools write, writes a file that OpenCV, ROS
 and people can read.
 
-Read: OpenCV YAML/XML/JSON, NumPy .npz, ROS camera_info YAML, COLMAP cameras.txt and .bin,
+Read: OpenCV YAML/XML/JSON, NumPy .npz, ROS camera_info YAML, COLMAP cameras.txt,
 Kalibr camchain YAML, WPILib and
-PhotonVision JSON; by hand fx, fy, cx, cy, width, height; each also packed by gzip.
+PhotonVision JSON; by hand fx, fy, cx, cy, width, height.
 Pixel centres: all of these put them at integers, except COLMAP, whose centres lie at .5
 (corrected here). Left out: lens models that OpenCV's polynomials cannot express
 (field-of-view, omnidirectional, division)."""
@@ -197,13 +197,10 @@ def _check(camera: Camera) -> None:
     m = camera.matrix
     form = np.array([[m[0, 0], 0, m[0, 2]], [0, m[1, 1], m[1, 2]], [0, 0, 1]])
     off = np.abs(m - form) > 1e-6 * np.array([[camera.fx], [camera.fy], [1]])
-    for name, row, wrong in zip(("first", "second", "last"), m, off, strict=True):
-        if wrong.any():
-            numbers = " ".join(f"{v:g}" for v in row)
-            hint = f"{_SHAPE}, not the transposed, and without skew"
-            raise CameraFileError(
-                f"the camera matrix's {name} row is {numbers}", hint
-            )
+    for row in m[off.any(1)]:
+        numbers = " ".join(f"{v:g}" for v in row)
+        hint = f"{_SHAPE}, not the transposed, and without skew"
+        raise CameraFileError(f"a row of the camera matrix is {numbers}", hint)
     for what, hint in _outside(camera, "may", "what", "hint"):
         raise CameraFileError(what, hint)
 

@@ -7,10 +7,9 @@ their order, or by the time in their names as TUM RGB-D writes them (1305031102.
 seconds), or by the times of a video's frames. Any map of one file can be asked for, from
 any thread; one after the other is quick."""
 
-import hashlib
 import re
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,7 +19,7 @@ import numpy as np
 from numpy import ndarray
 
 from arfx.core.numerics import divide
-from arfx.core.opener import folder_entries, is_folder, read_bytes, regular
+from arfx.core.opener import folder_entries, is_folder, regular
 from arfx.errors import InputError
 from arfx.media.clip import match_by_time, match_in_order, probe, spacing_s
 from arfx.media.frames import ClipReader
@@ -43,10 +42,11 @@ SIGMA = 6.0  # grey levels that count as an edge
 _FAINT = 1e-6  # a mask smoothed to less than this carries nothing: the nearest known value is used
 
 
-Read = Callable[[int], ndarray]
+# files, count, read and times_s of DepthMaps
+Source = tuple[Sequence[Path], int, Callable[[int], ndarray], Sequence[float] | None]
 
 
-def _open_video(path: Path) -> tuple[Read, tuple[float, ...]]:
+def _open_video(path: Path) -> tuple[Callable[[int], ndarray], tuple[float, ...]]:
     """What reads a frame as a map, and the times of all after the first.
 
     Raises InputError: it holds no depth; when read: the frame cannot be decoded."""
@@ -89,19 +89,20 @@ def _page(path: Path, number: int) -> ndarray:
 
 @dataclass(frozen=True)
 class DepthMaps:
-    """files : in order;  count : of maps;  steps_per_m : stored values to a metre, None = by kind
-    (integers: millimetres, floats: metres)
+    """files : one, or one for each map;  count : of maps;  read : gives one as it is stored, by
+    number
+    steps_per_m : stored values to a metre, None = by kind (integers: millimetres, floats:
+    metres)
     times_s : of each map after the first one, where they are known, else None;  start_s :
-    of the first, after the clip's
-    read : gives each map where one file holds them, else None: each file is one"""
+    of the first, after the clip's"""
 
     path: Path
-    files: tuple[Path, ...]
+    files: Sequence[Path]
     count: int
+    read: Callable[[int], ndarray]
+    times_s: Sequence[float] | None
     steps_per_m: float | None
     start_s: float
-    times_s: tuple[float, ...] | None = None
-    read: Read | None = None
 
     @property
     def still(self) -> bool:
@@ -110,7 +111,8 @@ class DepthMaps:
 
     def name(self, number: int) -> str:
         """What messages call a map."""
-        return f"{self.path}, map {number}" if self.read else str(self.files[number])
+        own = self.count == len(self.files)
+        return str(self.files[number]) if own else f"{self.path}, map {number}"
 
     def of_frames(
         self, times_s: list[float], before: int, whole: bool
@@ -136,24 +138,19 @@ class DepthMaps:
         """(h, w) float32 metres of a map at its own size; nothing measured = 0.
         width, height : of the clip. Raises InputError: unreadable, of another kind or shape.
         """
-        if self.read:
-            raw = self.read(number)
-        else:
-            raw = decode_picture(
-                self.files[number], "depth map", cv2.IMREAD_UNCHANGED
-            )
+        raw, name = self.read(number), self.name(number)
         if raw.ndim != 2 or raw.dtype not in (np.uint16, np.float32):
             channels = 1 if raw.ndim == 2 else raw.shape[2]
             kind = f"{raw.dtype} with {channels} channel{'s' if raw.ndim > 2 else ''}"
             raise InputError(
-                f"depth map {self.name(number)} holds {kind}, not depth",
+                f"depth map {name} holds {kind}, not depth",
                 "one channel of 16 bits: a PNG or PGM as RGB-D cameras give",
             )
         h, w = raw.shape
         if abs(w * height / (h * width) - 1) > _ASPECT:
             shapes = f"is {w}x{h}, the clip {width}x{height}: another shape"
             raise InputError(
-                f"depth map {self.name(number)} {shapes}",
+                f"depth map {name} {shapes}",
                 "maps as the clip is shown, of its size or the same aspect ratio",
             )
         most, usual = np.inf, 1.0
@@ -164,14 +161,6 @@ class DepthMaps:
             good = np.isfinite(metres) & (metres > 0) & (raw < most)
         return np.where(good, metres, np.float32(0))
 
-    def digest(self, number: int) -> str:
-        """Of a map's file, or of its values."""
-        if self.read:
-            data = self.read(number).tobytes()
-        else:
-            data = read_bytes(self.files[number], "depth map")
-        return hashlib.blake2b(data, digest_size=8).hexdigest()
-
 
 def open_depth(
     path: Path, steps_per_m: float | None = None, start_s: float = 0.0
@@ -180,36 +169,41 @@ def open_depth(
 
     Raises InputError: missing, empty, kinds mixed, times twice.
     """
-    if not is_folder(path, "depth"):
-        suffix = path.suffix.lower()
-        if suffix in TIFF:
-            check_size(regular(path, "depth"), path, "depth map")
-            count = cv2.imcount(str(path), cv2.IMREAD_UNCHANGED)
-            if count < 1:
-                hint = "16-bit or float pages"
-                raise InputError(f"depth {path} cannot be read as a TIFF", hint)
-            page = partial(_page, path)
-            return DepthMaps(path, (path,), count, steps_per_m, start_s, None, page)
-        if suffix in VIDEO:
-            read, times_s = _open_video(path)
-            count = len(times_s)
-            return DepthMaps(
-                path, (path,), count, steps_per_m, start_s, times_s, read
-            )
-        if suffix not in SUFFIXES:
-            hint = f"{_KINDS}; a folder of them; or a video of 16-bit grey (FFV1)"
-            raise InputError(f"depth {path} is not a depth map", hint)
-        return DepthMaps(path, (path,), 1, steps_per_m, start_s)
-    found = sorted(
-        (
-            p
-            for p in folder_entries(path, "depth folder")
-            if p.suffix.lower() in SUFFIXES
-        ),
-        key=lambda p: (  # 2 before 10
-            [int(x) if x.isdecimal() else x for x in re.split(r"(\d+)", p.stem)],
-            p.name,
-        ),
+    source = _of_folder(path) if is_folder(path, "depth") else _of_file(path)
+    return DepthMaps(path, *source, steps_per_m, start_s)
+
+
+def _of_file(path: Path) -> Source:
+    suffix = path.suffix.lower()
+    if suffix in VIDEO:
+        read, times_s = _open_video(path)
+        return [path], len(times_s), read, times_s
+    if suffix in TIFF:
+        check_size(regular(path, "depth"), path, "depth map")
+        count = cv2.imcount(str(path), cv2.IMREAD_UNCHANGED)
+        if count < 1:
+            hint = "16-bit or float pages"
+            raise InputError(f"depth {path} cannot be read as a TIFF", hint)
+        return [path], count, partial(_page, path), None
+    if suffix not in SUFFIXES:
+        hint = f"{_KINDS}; a folder of them; or a video of 16-bit grey (FFV1)"
+        raise InputError(f"depth {path} is not a depth map", hint)
+    return [path], 1, partial(_picture, [path]), None
+
+
+def _picture(files: Sequence[Path], number: int) -> ndarray:
+    return decode_picture(files[number], "depth map", cv2.IMREAD_UNCHANGED)
+
+
+def _of_folder(path: Path) -> Source:
+    found = [
+        p
+        for p in folder_entries(path, "depth folder")
+        if p.suffix.lower() in SUFFIXES
+    ]
+    # 2 before 10
+    found.sort(
+        key=lambda p: (re.sub(r"\d+", lambda n: f"{int(n[0]):030}", p.stem), p.name)
     )
     if not found:
         raise InputError(f"depth folder {path} holds no depth map", _KINDS)
@@ -228,7 +222,7 @@ def open_depth(
             what = f"depth folder {path}: two maps have the same time in their names"
             raise InputError(what)
         since_s = tuple((times - times[0]).tolist())
-    return DepthMaps(path, tuple(found), len(found), steps_per_m, start_s, since_s)
+    return found, len(found), partial(_picture, found), since_s
 
 
 def fill_holes(depth_m: ndarray, guide: ndarray) -> ndarray:

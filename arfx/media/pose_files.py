@@ -14,7 +14,7 @@ import numpy as np
 from arfx.core.opener import read_text
 from arfx.core.pose import Pose, rotation_from_quaternion
 from arfx.errors import InputError
-from arfx.media.clip import Match, match_by_time, match_in_order, spacing_s
+from arfx.media.clip import match_by_time, match_in_order, spacing_s
 
 # metres or seconds: times count from 1970, nothing is farther than that in metres
 _MAX_VALUE = 1e12
@@ -24,12 +24,12 @@ _UNIT_TOLERANCE = 1e-2  # from 1, of a quaternion's length
 
 @dataclass(frozen=True, eq=False)
 class CameraPath:
-    """camera_from_given : in order;  times_s : after the first one, None = one for each
+    """given_from_camera : in order;  times_s : after the first one, None = one for each
     frame of the clip
     """
 
     path: Path
-    camera_from_given: tuple[Pose, ...]
+    given_from_camera: tuple[Pose, ...]
     times_s: tuple[float, ...] | None
 
     def of_frames(
@@ -42,12 +42,12 @@ class CameraPath:
         gap_s : longest time between two poses that is bridged. Raises InputError where they
         usually are farther apart.
         """
-        given = self.camera_from_given
+        given = self.given_from_camera
         if self.times_s is None:
             what, held = f"poses {self.path} hold {len(given)} lines", len(given)
             hint = "one line for each frame, or the time in seconds before each pose"
             found = match_in_order(what, held, len(times_s), before, whole, hint)
-            return [None if k is None else (given[k], True) for k in found]
+            return [None if k is None else (given[k].inverse(), True) for k in found]
         spacing, usual = spacing_s(times_s), spacing_s(self.times_s)
         if usual > gap_s + spacing:
             raise InputError(
@@ -56,20 +56,13 @@ class CameraPath:
                 "a pose for each frame, or at least several a second",
             )
         near_s, taken_s = 0.5 * spacing + _ROUNDING_S, np.array(self.times_s)
+        # the camera moves straight, not the world
         return [
-            None if m is None else (self._between(m), m.near)
+            None
+            if m is None
+            else (given[m.before].towards(given[m.after], m.share).inverse(), m.near)
             for m in match_by_time(taken_s, times_s, near_s, gap_s + spacing)
         ]
-
-    def _between(self, m: Match) -> Pose:
-        first, second = (
-            self.camera_from_given[m.before],
-            self.camera_from_given[m.after],
-        )
-        if m.share in (0.0, 1.0):
-            return second if m.share else first
-        # the camera moves straight, not the world
-        return first.inverse().towards(second.inverse(), m.share).inverse()
 
 
 def load_poses(path: Path) -> CameraPath:
@@ -92,9 +85,8 @@ def load_poses(path: Path) -> CameraPath:
             raise InputError(f"poses {path}, line {number}: {what}", hint)
     table = np.array([words for _, words in given], float)
     q = table[:, -4:] / np.linalg.norm(table[:, -4:], axis=1, keepdims=True)
-    turned = np.swapaxes(rotation_from_quaternion(np.roll(q, 1, 1)), 1, 2)
-    moved = -np.einsum("nij,nj->ni", turned, table[:, -7:-4])
-    poses = tuple(map(Pose, turned, moved))
+    turned = rotation_from_quaternion(np.roll(q, 1, 1))
+    poses = tuple(map(Pose, turned, table[:, -7:-4]))
     if columns == 7:
         return CameraPath(path, poses, None)
     times = table[:, 0] - table[0, 0]

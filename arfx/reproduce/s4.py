@@ -69,12 +69,11 @@ def plane() -> Items:
         depth = np.where(((at > low) & (at < high)).all(-1), t * rays[..., 2], depth)
     depth += np.random.default_rng(4).normal(0, 0.003, depth.shape)
     cloud = cloud_of(depth, camera)
-    assert cloud is not None
     table = find_planes(cloud)[0]
     up = turn[:, 2]
     angle = np.degrees(angle_between(table.normal, up))
     yield row("step 1, the likeliest plane: its normal", (angle, angle))
-    found = scene_planes([(depth, pose)], camera)[0].real_plane()
+    found = scene_planes([(depth, pose)], camera)[0]
     centre = 1e2 * np.linalg.norm(found.world_from_plane.translation_m[:2])
     yield row("step 1, where the object stands", (centre, centre))
 

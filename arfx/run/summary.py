@@ -119,23 +119,17 @@ def _timing(
 def _pose(job: Job) -> dict[str, Any]:
     facts, summary = job.facts, job.analysed.summary
     corners, camera = job.scene.model_corners_m, job.inputs.camera
+    each = (jitter_px(facts, corners, camera, raw) for raw in (True, False))
     before, after = (
-        [
-            float(np.nanmedian(px)) if np.isfinite(px).any() else 0.0
-            for px in jitter_px(facts, corners, camera, raw)
-        ]
-        for raw in (True, False)
+        float(np.nanmedian(px)) if np.isfinite(px).any() else 0.0 for px in each
     )
     error = summary["reprojection_px"]
     return {
         **{k: v for k, v in summary.items() if k != "depth"},
         "reprojection_px": error["smoothed"] | {"before_smoothing": error["raw"]},
-        # jitter of the object against its marker; the camera's own shake moves both and is
-        # meant to stay
-        "jitter_px": after[1],
-        "jitter_before_smoothing_px": before[1],
-        "jitter_with_camera_px": after[0],
-        "jitter_with_camera_before_smoothing_px": before[0],
+        # of the object against its marker: the camera's own shake is meant to stay
+        "jitter_px": after,
+        "jitter_before_smoothing_px": before,
         "static": job.analysed.static,
         "world_from_marker": {
             k: p.to_json() for k, p in job.analysed.world_from_marker.items()

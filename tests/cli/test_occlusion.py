@@ -108,7 +108,6 @@ def test_depth_in_one_file_decides_what_hides_what(
 
     # the same maps as pages of a TIFF: the same picture, bit for bit
     maps = open_depth(made / "depth.mkv")
-    assert maps.read is not None
     pages = [maps.read(k) for k in range(maps.count)]
     assert cv2.imwritemulti(str(tmp_path / "depth.tiff"), pages)
     again = arfx(

@@ -4,14 +4,12 @@ devices in a file's place.
 
 from __future__ import annotations
 
-import gzip
 import io
 import itertools
 import json
 import os
 import random
 import shutil
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -107,7 +105,7 @@ def damaged(rng: random.Random, folder: Path, material: Path) -> Case:
 
 
 def packed(rng: random.Random, folder: Path, material: Path) -> Case:
-    """NumPy's archive, OpenCV's XML, gzip, COLMAP's binary model."""
+    """NumPy's archive, OpenCV's XML."""
     k = np.array([[152.0, 0, 79.5], [0, 152, 59.5], [0, 0, 1]])
     archive = io.BytesIO()
     np.savez(archive, mtx=k, dist=np.zeros(5), image_width=160, image_height=120)
@@ -116,13 +114,10 @@ def packed(rng: random.Random, folder: Path, material: Path) -> Case:
         "<opencv_storage><image_size>160"
         f" 120</image_size><camera_matrix><data>{numbers}</data></camera_matrix></opencv_storage>"
     )
-    colmap = struct.pack("<QIIQQ4d", 1, 1, 1, 160, 120, 152, 152, 80, 60)
     name, data = rng.choice(
         (
             ("c.npz", archive.getvalue()),
             ("c.xml", xml.encode()),
-            ("c.xml.gz", gzip.compress(xml.encode())),
-            ("cameras.bin", colmap),
         )
     )
     (folder / name).write_bytes(mutated_bytes(rng, data))

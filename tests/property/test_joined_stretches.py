@@ -277,7 +277,7 @@ def test_what_stretches_learned_is_what_the_clip_shows(
         {s.frame for s in steps}
     ) == len(steps)
     rows = in_stretches["plane"].rows
-    assert not rests(rows[RestPicture], rows[RestMotion])[0]
+    assert not rests(rows[RestPicture])[0]
 
 
 def test_poses_of_coded_prints_do_not_depend_on_where_a_clip_is_cut() -> None:

@@ -29,7 +29,7 @@ def test_maps_are_read_and_holes_filled_from_beside(
     name: str, scale: float, holes: tuple[float, float]
 ) -> None:
     maps = open_depth(DATA / name / "depth", scale)
-    assert len(maps.files) == 5 and maps.of_frames([0.0] * 5, 0, whole=True) == list(
+    assert maps.count == 5 and maps.of_frames([0.0] * 5, 0, whole=True) == list(
         range(5)
     )
     for number in (0, 3):

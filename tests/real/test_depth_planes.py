@@ -40,7 +40,7 @@ def test_the_floor_before_a_kinect(number: int) -> None:
     map_ = depth(f"ch5_rgbd/depth/{number}.pgm", 1000)
     assert 0.25 < (map_ == 0).mean() < 0.33
     planes = scene_planes([(map_, Pose.identity())], KINECT)
-    floor = facing_up(planes, [Pose.identity()])[0].real_plane()
+    floor = facing_up(planes, [Pose.identity()])[0]
     height = -float(
         floor.world_from_plane.rotation[:, 2] @ floor.world_from_plane.translation_m
     )
@@ -51,7 +51,6 @@ def test_the_floor_before_a_kinect(number: int) -> None:
 
 def test_a_rendered_room() -> None:
     cloud = cloud_of(depth("ch12_dense_RGBD/depth/1.png", 5000), ICL)
-    assert cloud is not None
     found = find_planes(cloud)
     off_mm = [
         1e3 * np.abs(cloud.points[p.inliers] @ p.normal - p.offset_m) for p in found

@@ -62,10 +62,8 @@ class Cloud(NamedTuple):
     patches: ndarray
 
 
-def cloud_of(depth_m: ndarray, camera: Camera) -> Cloud | None:
-    """depth_m : (h, w) along the optical axis, not finite or <= 0 = not measured.
-
-    None where too little is."""
+def cloud_of(depth_m: ndarray, camera: Camera) -> Cloud:
+    """depth_m : (h, w) along the optical axis, not finite or <= 0 = not measured."""
     known = np.isfinite(depth_m) & (depth_m > 0)
     h, w = depth_m.shape
     step = max(1, int(np.sqrt(known.sum() / MOST_POINTS)))
@@ -73,8 +71,6 @@ def cloud_of(depth_m: ndarray, camera: Camera) -> Cloud | None:
     pixels, own = np.stack([x, y], -1).astype(float), camera.scaled_to(w, h)
     rays = own.directions(pixels)
     keep = known[y, x] & np.isfinite(rays).all(-1)
-    if keep.sum() < PATCH**2:
-        return None
     rays[~keep], near = 0.0, divide(keep, depth_m[y, x])
     patches, noise = _patches(rays, near)
     z, grid = 1 / near[keep], np.full(keep.shape, -1)
@@ -219,7 +215,7 @@ class ScenePlane(NamedTuple):
     noise_m: float
     frames: int
 
-    def real_plane(self) -> RealPlane:
+    def measured(self) -> RealPlane:
         """About the middle of what was seen."""
         x = normalise(self.right - (self.right @ self.normal) * self.normal)
         axes = np.stack([x, np.cross(self.normal, x), self.normal], 1)
@@ -249,15 +245,13 @@ class ScenePlane(NamedTuple):
 
 def scene_planes(
     maps: Sequence[tuple[ndarray, Pose]], camera: Camera
-) -> list[ScenePlane]:
+) -> list[RealPlane]:
     """maps : (depth (h, w) metres, 0 = unknown; camera_from_world) of some frames. Those
     seen most first.
     """
     out: list[ScenePlane] = []
     for depth, pose in maps:
-        if (cloud := cloud_of(depth, camera)) is None:
-            continue
-        world_from_camera = pose.inverse()
+        cloud, world_from_camera = cloud_of(depth, camera), pose.inverse()
         for found in find_planes(cloud):
             rows = found.inliers
             cosine = np.abs(normalise(cloud.rays[rows]) @ found.normal)
@@ -271,7 +265,7 @@ def scene_planes(
                 1,
             )
             _join(out, plane)
-    return sorted(out, key=lambda p: -len(p.points))
+    return [p.measured() for p in sorted(out, key=lambda p: -len(p.points))]
 
 
 def _join(planes: list[ScenePlane], new: ScenePlane) -> None:
@@ -292,12 +286,13 @@ def _join(planes: list[ScenePlane], new: ScenePlane) -> None:
 
 
 def facing_up(
-    planes: Sequence[ScenePlane], camera_from_world: Sequence[Pose]
-) -> list[ScenePlane]:
+    planes: Sequence[RealPlane], camera_from_world: Sequence[Pose]
+) -> list[RealPlane]:
     """Those on which something can stand, the one seen most first."""
     up = normalise(-np.mean([p.rotation[1] for p in camera_from_world], 0))
     return [
         p
         for p in planes
-        if p.normal @ up > UPRIGHT and p.real_plane().area_m2 >= LEAST_AREA_M2
+        if p.world_from_plane.rotation[:, 2] @ up > UPRIGHT
+        and p.area_m2 >= LEAST_AREA_M2
     ]

@@ -3,9 +3,11 @@ distance is known in metres.
 
 Source: docs/methods/calibration.md#depth."""
 
+import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import cv2
@@ -176,26 +178,28 @@ def with_depth(
             print_ratios(depth, facts[n], clip.world_from_marker, camera)
             for n in frames_of[number]
         ]
-        return maps.digest(number), tiles, 1 - known, ratios
+        digest = hashlib.blake2b(depth.tobytes(), digest_size=8).hexdigest()
+        return digest, tiles, 1 - known, ratios
 
     readings = []
     with ThreadPoolExecutor(min(usable_cores(), 4)) as pool:
         for reading in pool.map(read, used):
             readings.append(reading)
             job.progress("depth", len(readings), len(used))
-    if all(tiles is None for _, tiles, _, _ in readings):
+    digests, tiles_of, holes, ratios = zip(*readings, strict=True)
+    if all(tiles is None for tiles in tiles_of):
         raise InputError(
             f"depth {maps.path} holds no valid pixel: all are 0, not finite or the largest"
             " value",
             "is it depth?",
         )
     scale = (
-        depth_scale([r for *_, ratios in readings for r in ratios])
+        depth_scale([*chain.from_iterable(ratios)])
         if job.align
         else DepthScale(True, "taken as stated")
     )
     out = list(facts)
-    for number, (digest, tiles, _, _) in zip(used, readings, strict=True):
+    for number, digest, tiles in zip(used, digests, tiles_of, strict=True):
         if scale.known and tiles is not None:
             tiles = (tiles / scale.scale).astype(np.float32)
             depth = RealDepth.of(number, scale.scale, digest, tiles, scale.noise)
@@ -209,14 +213,13 @@ def with_depth(
         if maps.times_s is None
         else "time"
     )
-    holes = float(np.mean([reading[2] for reading in readings]))
     summary = {
         "path": str(maps.path),
         "maps": maps.count,
         "paired_by": paired,
         "frames_with": got,
         "frames_without": len(facts) - got,
-        "holes": holes,
+        "holes": float(np.mean(holes)),
         **scale.to_json(),
     }
     notice = None if scale.known else f"the real depth is not used: {scale.reason}"

@@ -7,9 +7,9 @@ With markers: corners outside of them, over about a third of a second. Without: 
 first picture in later ones.
 Source: docs/methods/pose.md#rest."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -27,9 +27,8 @@ from arfx.core.rect import Rect
 
 WIDTH_PX = 320  # of the reduced image
 INTERVAL_S = 0.33
-MAX_SAMPLES = (
-    120  # about so many are taken, evenly over the clip: memory does not grow with it
-)
+# about so many are taken, evenly over the clip: memory does not grow with it
+MAX_SAMPLES, MAX_PICTURES = 120, 240
 POINTS = 40
 LEAST_DEPTH_M = 0.1  # nothing filmed stands closer
 NEAREST = (
@@ -42,47 +41,40 @@ NEAR_PX, FLAT = 17, 4.0
 # in the reduced image, over INTERVAL_S: tracking noise of a still clip is about .05 to .15;
 # and since the first picture: light and compression move corners by more
 STILL_PX, REST_PX = 0.35, 0.6
-# share of points: moving shadows and what a hand moves beside the marker are the others
-AT_REST = 0.45
+# share of points that rest, or move along with the marker's world: moving shadows and what a
+# hand moves beside the marker are the others
+AT_REST, ALONG = 0.45, 0.6
 _BACK_PX = 0.3  # from its start, in the reduced image: a corner that came back
 _MIN_POINTS = 6
 
 
 class RestPicture(NamedTuple):
-    """A reduced picture. frame : its number;  luma : (h, w) uint8
-    corners : (h, w) uint8, 0 where none is taken;  pixel_px : clip px in one of its own"""
+    """A reduced picture. frame : its number;  luma : (h, w) uint8;  pixel_px : clip px in one
+    of its own"""
 
     frame: int
     luma: ndarray
-    corners: ndarray
     pixel_px: int
 
 
-def snapshot(
-    frame: AnalysisFrame, markers: Iterable[Rect] | None = None
-) -> RestPicture:
-    """markers : no corners there; without them those that stand out of noise are taken"""
+def snapshot(frame: AnalysisFrame) -> RestPicture:
     height, width = frame.luma.shape
     factor = max(1, width // WIDTH_PX)
     size = width // factor, height // factor
     small = cv2.resize(frame.luma, size, interpolation=cv2.INTER_AREA)
-    rough = markers is not None or local_contrast(small, NEAR_PX)[1] > FLAT
-    corners = np.full(small.shape, rough, np.uint8)
-    for r in markers or ():
-        r = r.pad(max(r.width, r.height) // 3)
-        rows = slice(max(r.y0 // factor, 0), r.y1 // factor + 1)
-        corners[rows, max(r.x0 // factor, 0) : r.x1 // factor + 1] = 0
-    return RestPicture(frame.index, small, corners, factor)
+    return RestPicture(frame.index, small, factor)
 
 
-def follow(first: RestPicture, second: RestPicture) -> tuple[ndarray, ndarray]:
+def follow(
+    first: RestPicture, second: RestPicture, where: ndarray
+) -> tuple[ndarray, ndarray]:
     """Places (n, 2), (n, 2) of the first one's corners in both, clip px; NaN in the second
-    where they are lost.
+    where they are lost. where : (h, w) bool, none are taken elsewhere
     """
-    places = [np.zeros((0, 2, 2))]
+    places, mask = [np.zeros((0, 2, 2))], where.astype(np.uint8)
     evened = (even_contrast(picture.luma, NEAR_PX) for picture in (first, second))
     for before, now in ((first.luma, second.luma), evened):
-        points = cv2.goodFeaturesToTrack(before, POINTS, 0.02, 8, mask=first.corners)
+        points = cv2.goodFeaturesToTrack(before, POINTS, 0.02, 8, mask=mask)
         if points is None or len(points) < _MIN_POINTS:
             continue
         there, missed = follow_points(before, now, points, 3, 11, 30, 0.01)
@@ -110,7 +102,7 @@ class BackgroundFlow:
 
     def __init__(self, frames: int) -> None:
         self.rows: list[FlowSample] = []
-        self._before: RestPicture | None = None
+        self._before: tuple[RestPicture, ndarray] | None = None
         self._time_s = -np.inf
         self._even = EvenFrames(frames, MAX_SAMPLES, 0.0)
 
@@ -122,57 +114,56 @@ class BackgroundFlow:
         first = bool(shown) and self._even.due(frame.index, frame.time_s)
         if not first and before is None:
             return
-        now = snapshot(frame, [Rect.around(s.print.corners_px) for s in shown])
-        self._before = now if first else None
+        now = snapshot(frame)
+        if first:
+            self._before = now, _beside(shown, now)
         if before is not None:
-            places = np.stack(follow(before, now))
+            places = np.stack(follow(before[0], now, before[1]))
             here, there = places[:, np.isfinite(places).all((0, 2))].round(3)
             if len(here) >= _MIN_POINTS:
-                later = now.frame - before.frame
-                row = FlowSample(before.frame, later, now.pixel_px, here, there)
+                number = before[0].frame
+                row = FlowSample(
+                    number, now.frame - number, now.pixel_px, here, there
+                )
                 self.rows.append(row)
+
+
+def _beside(shown: Sequence[Sighting], picture: RestPicture) -> ndarray:
+    """(h, w) bool, where no print is, nor near one."""
+    out, factor = np.ones(picture.luma.shape, bool), picture.pixel_px
+    for s in shown:
+        r = Rect.around(s.print.corners_px)
+        r = r.pad(max(r.width, r.height) // 3)
+        rows = slice(max(r.y0 // factor, 0), r.y1 // factor + 1)
+        out[rows, max(r.x0 // factor, 0) : r.x1 // factor + 1] = False
+    return out
 
 
 def decide_static(
     samples: Sequence[FlowSample],
     camera_from_world: Mapping[int, Pose],
     camera: Camera,
-) -> tuple[str, dict[str, float]]:
-    """("camera" | "marker" | "both", evidence).
+) -> str:
+    """ "camera", "marker", or "both" move: that too where nothing is known to stand still.
 
-    samples : of BackgroundFlow;  camera_from_world : smoothed poses by frame
-    evidence : samples, share of background points at rest, share that move with the
-    marker's world, marker_moves_px.
-    Without evidence the answer is "both": nothing is known to stand still."""
-    posed = [
-        s
-        for s in samples
-        if {s.index, s.index + s.frames} <= camera_from_world.keys()
-    ]
-    shares = list[Any]()
-    for s in posed:
+    samples : of BackgroundFlow;  camera_from_world : smoothed poses by frame"""
+    rest, along = (
+        [],
+        [],
+    )  # shares of the points: at rest, moving with the marker's world
+    for s in samples:
+        a, b = (camera_from_world.get(k) for k in (s.index, s.index + s.frames))
+        if a is None or b is None:
+            continue
         from_, to = camera.normalised(np.stack([s.here, s.there]))
-        a, b = camera_from_world[s.index], camera_from_world[s.index + s.frames]
         still, way = STILL_PX * s.pixel_px, np.linalg.norm(s.there - s.here, axis=1)
-        missed = camera.fx * epipolar_distance(
-            from_, to, b @ a.inverse(), NEAREST * float(b.translation_m[2])
-        )
-        along = (missed < 2 * still + DRIFT * way).mean()
-        moved = camera.project(np.stack([a.translation_m, b.translation_m]))
-        shares.append(
-            ((way < still).mean(), along, np.linalg.norm(np.diff(moved, axis=0)))
-        )
-    rest, along, moves = np.array(shares or [(0.0, 0.0, np.nan)]).T
-    evidence = {
-        "samples": float(len(shares)),
-        "at_rest": float(rest.mean()),
-        "with_marker": float(along.mean()),
-        "marker_moves_px": float(np.nanmedian(moves))
-        if np.isfinite(moves).any()
-        else 0.0,
-    }
-    otherwise = "marker" if evidence["with_marker"] > 0.6 else "both"
-    return ("camera" if evidence["at_rest"] > AT_REST else otherwise), evidence
+        nearest_m = NEAREST * float(b.translation_m[2])
+        missed = epipolar_distance(from_, to, b @ a.inverse(), nearest_m)
+        rest.append((way < still).mean())
+        along.append((camera.fx * missed < 2 * still + DRIFT * way).mean())
+    if rest and np.mean(rest) > AT_REST:
+        return "camera"
+    return "marker" if along and np.mean(along) > ALONG else "both"
 
 
 def epipolar_distance(
@@ -193,47 +184,31 @@ def epipolar_distance(
     return np.where(np.isfinite(distance), distance, np.inf)
 
 
-class RestMotion(NamedTuple):
-    """How far the corners of a part's first picture were in a later one. moved_px : the
-    middle one, clip px, 0 where none was found;  rests : whether they stay"""
-
-    frame: int
-    moved_px: float
-    rests: bool
-
-
 class RestCheck:
-    """Compares pictures of a part of the clip with its first one."""
+    """Keeps pictures of the whole clip. frames : of it, about"""
 
-    def __init__(self) -> None:
-        self.rows: list[Any] = []
-        self._first: RestPicture | None = None
-        self._next_s = -np.inf
+    def __init__(self, frames: int) -> None:
+        self.rows: list[RestPicture] = []
+        self._even = EvenFrames(frames, MAX_PICTURES, INTERVAL_S)
 
     def step(self, frame: AnalysisFrame, _: Sequence[Sighting] = ()) -> None:
-        if frame.time_s < self._next_s:
-            return
-        self._next_s = frame.time_s + INTERVAL_S
-        now = snapshot(frame)
-        first, self._first = self._first, self._first or now
-        self.rows.append(_motion(first, now) if first else now)
+        if self._even.due(frame.index, frame.time_s):
+            self.rows.append(snapshot(frame))
 
 
-def rests(
-    pictures: Sequence[RestPicture], motions: Sequence[RestMotion]
-) -> tuple[bool, float]:
+def rests(pictures: Sequence[RestPicture]) -> tuple[bool, float]:
     """(whether the camera stands still, the farthest that the middle corner was seen from its
-    place, clip px): of `RestCheck`, each part against its own first picture, and these against
-    the clip's."""
-    every = [*motions, *(_motion(pictures[0], later) for later in pictures[1:])]
-    return all(m.rests for m in every), max((m.moved_px for m in every), default=0.0)
-
-
-def _motion(first: RestPicture, now: RestPicture) -> RestMotion:
-    here, there = follow(first, now)
-    away = np.linalg.norm(there - here, axis=1)
-    # a corner that is lost may have left the picture; without any nothing could tell
-    near = away < REST_PX * now.pixel_px
-    stays = not len(away) or bool(near.mean() > AT_REST)
-    moved_px = float(np.nanmedian(away)) if np.isfinite(away).any() else 0.0
-    return RestMotion(now.frame, moved_px, stays)
+    place in the first picture, clip px)."""
+    first = pictures[0]
+    # corners that stand out of noise
+    where = local_contrast(first.luma, NEAR_PX)[1] > FLAT
+    still, farthest_px = True, 0.0
+    for now in pictures[1:]:
+        here, there = follow(first, now, where)
+        away = np.linalg.norm(there - here, axis=1)
+        # a corner that is lost may have left the picture; without any nothing could tell
+        if len(away):
+            still &= bool((away < REST_PX * now.pixel_px).mean() > AT_REST)
+        if np.isfinite(away).any():
+            farthest_px = max(farthest_px, float(np.nanmedian(away)))
+    return still, farthest_px

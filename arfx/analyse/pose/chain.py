@@ -69,13 +69,19 @@ def information_of_noise(dt_s: ndarray) -> ndarray:
     return np.moveaxis(np.array([[12 / dt_s**3, both], [both, 4 / dt_s]]), -1, 0)
 
 
+def typical_information(information: ndarray) -> float:
+    """About the direction of a state that is known least, median of those that are seen.
+    Arguments as of Chain.
+    """
+    seen = information[information.any((1, 2))]
+    return float(np.median(np.linalg.eigvalsh(seen)[:, 0])) if len(seen) else 1.0
+
+
 def least_density(information: ndarray, firm: ndarray) -> ndarray:
     """(n - 1, 1) with which rounding leaves digits of the measurements beside the links: a
     motion so slow is smoothed over some 800 frames. Arguments as of Chain.
     """
-    seen = information[information.any((1, 2))]
-    weakest = np.median(np.linalg.eigvalsh(seen)[:, 0]) if len(seen) else 1.0
-    return _DIGITS * firm[:, 0, :1] / max(weakest, 1e-9)
+    return _DIGITS * firm[:, 0, :1] / max(typical_information(information), 1e-9)
 
 
 def smooth_chain(chain: Chain, density: ndarray) -> Smoothed:

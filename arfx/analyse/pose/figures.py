@@ -12,6 +12,8 @@ from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
 from arfx.core.numerics import divide
 from arfx.core.stage import Check
 
+_UNKNOWN = {"median": None, "p95": None}
+
 
 def figures(
     facts: Sequence[FrameFacts], keys: Sequence[str], **more: Any
@@ -22,103 +24,76 @@ def figures(
     """
     count = Counter(f.status for f in facts)
     seen = Counter(m.key for f in facts for m in f.markers)
-    ratios = _ambiguities(facts)
     return {
         "frames": len(facts),
         "frames_measured": count[MEASURED],
         "frames_interpolated": count[INTERPOLATED],
         "frames_absent": count[ABSENT],
-        "shots": facts[-1].shot + 1,
         "cuts": [b.index for a, b in pairwise(facts) if a.shot != b.shot],
         "flips_resolved": 0,
-        "reprojection_px": {"raw": quantiles([]), "smoothed": quantiles([])},
-        "pose_condition": quantiles([]),
-        "sigma_px": quantiles([m.sigma_px for f in facts for m in f.markers]),
-        "ambiguity_ratio": quantiles(ratios),
-        "ambiguous_sightings": int((ratios < 4.0).sum()),
+        "reprojection_px": {"raw": _UNKNOWN, "smoothed": _UNKNOWN},
+        "ambiguous_sightings": sum(
+            m.ambiguity < 4.0 for f in facts for m in f.markers
+        ),
         "markers_seen": {k: seen[k] for k in keys},
-        "rivals": 0,
-        "dropped": 0,
-        "map": {"given": True, "frames": 0, "unmapped": []},
         **more,
     }
 
 
-def _ambiguities(facts: Sequence[FrameFacts]) -> ndarray:
-    every = np.array([m.ambiguity for f in facts for m in f.markers])
-    return every[np.isfinite(every)]
-
-
-def quantiles(values: Sequence[float] | ndarray) -> dict[str, float | None]:
-    v = np.asarray(values, float)
-    v = v[np.isfinite(v)]
-    return (
-        {"median": float(np.median(v)), "p95": float(np.quantile(v, 0.95))}
-        if len(v)
-        else {"median": None, "p95": None}
-    )
+def quantiles(values: ndarray) -> dict[str, float]:
+    return {
+        "median": float(np.median(values)),
+        "p95": float(np.quantile(values, 0.95)),
+    }
 
 
 def pose_checks(
     facts: Sequence[FrameFacts], summary: Mapping[str, Any]
 ) -> Iterator[Check]:
-    def at_most(
-        name: str, value: float | None, limit: float, action: str
-    ) -> Iterator[Check]:
+    turn_deg, shift_percent = _deviations(facts)
+    spread = "pose standard deviation, 95th percentile"
+    weak = "pose is weak: larger or more tilted marker"
+    for name, value, limit, action in (
+        (
+            "reprojection median (px)",
+            summary["reprojection_px"]["smoothed"]["median"],
+            1.0,
+            "check marker size, calibration and lens mode",
+        ),
+        (
+            "ambiguous sightings",
+            summary["ambiguous_sightings"],
+            sum(summary["markers_seen"].values()) // 2,
+            "two planar poses fit almost equally: chosen by the motion of the whole clip",
+        ),
+        (f"{spread} (deg)", turn_deg, 2.0, weak),
+        (f"{spread} (% of distance)", shift_percent, 2.0, weak),
+        (
+            "marker map condition number",
+            summary.get("map", {}).get("condition"),
+            1e6,
+            "show the markers together in more frames",
+        ),
+    ):
         if value is not None:
             yield Check(name, value, limit, value <= limit, action)
 
-    yield from at_most(
-        "reprojection median (px)",
-        summary["reprojection_px"]["smoothed"]["median"],
-        1.0,
-        "check marker size, calibration and lens mode",
-    )
-    action = (
-        "two planar poses fit almost equally: chosen by the motion of the whole clip"
-    )
-    half = sum(summary["markers_seen"].values()) // 2
-    yield from at_most(
-        "ambiguous sightings", summary["ambiguous_sightings"], half, action
-    )
-    ratios = _ambiguities(facts)
-    if len(ratios):
-        low = float(np.percentile(ratios, 5))
-        name = "pose hypotheses: second error / first, 5th percentile"
-        yield Check(name, low, 3.0, low >= 3.0, action)
-    weak = "pose is weak: larger or more tilted marker"
-    condition = summary["pose_condition"]["median"]
-    yield from at_most("pose condition number", condition, 1e6, weak)
-    spread = [s for s in map(_deviation, facts) if s is not None]
-    if spread:
-        turn, shift = np.percentile(spread, 95, axis=0).tolist()
-        name, action = (
-            "pose standard deviation, 95th percentile",
-            "smoothed over more frames",
-        )
-        yield from at_most(f"{name} (deg)", turn, 2.0, action)
-        yield from at_most(f"{name} (% of distance)", shift, 2.0, action)
-    if not summary["map"]["given"]:
-        yield from at_most(
-            "marker map condition number",
-            summary["map"].get("condition"),
-            1e6,
-            "show the markers together in more frames",
-        )
 
-
-def _deviation(f: FrameFacts) -> tuple[float, float] | None:
-    """(degrees, percent of the distance), the largest axis of each; None without a pose or
-    covariance.
+def _deviations(
+    facts: Sequence[FrameFacts],
+) -> tuple[float, float] | tuple[None, None]:
+    """95th percentiles of (degrees, percent of the distance), the largest axis of each; None
+    where no frame has a pose and its covariance.
     """
-    if f.pose_covariance is None or f.camera_from_world is None:
-        return None
-    c = f.pose_covariance
-    if not np.isfinite(c).all():
-        return np.inf, np.inf
+    known = [f for f in facts if f.pose_covariance is not None]
+    if not known:
+        return None, None
+    covariance = np.array([f.pose_covariance for f in known])
+    away_m = np.linalg.norm([f.pose.translation_m for f in known], axis=1)
     turn, shift = (
-        float(np.sqrt(max(np.linalg.eigvalsh(c[s, s])[-1], 0.0)))
+        np.sqrt(np.maximum(np.linalg.eigvalsh(covariance[:, s, s])[:, -1], 0.0))
         for s in (slice(0, 3), slice(3, 6))
     )
-    away = float(np.linalg.norm(f.camera_from_world.translation_m))
-    return float(np.degrees(turn)), float(divide(100 * shift, away))
+    both = np.degrees(turn), divide(100 * shift, away_m)
+    turn_deg, percent = np.percentile(both, 95, axis=1).tolist()
+    return turn_deg, percent

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy import ndarray
 
-from arfx.analyse.pose.marker_map import Prints, camera_poses, observe
+from arfx.analyse.pose.marker_map import Prints, arrays, camera_poses, observe
 from arfx.analyse.pose.planar import Observed, best_of_each, refine_poses, residuals
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose, rotvec_from_rotation
@@ -104,44 +104,46 @@ def world_path(
     """
     n = len(times_s)
     mapped = [k for k, key in enumerate(keys) if key in world_from_marker]
-    layout = [world_from_marker[keys[k]] for k in mapped]
-    prints = prints.in_frames(prints.by_frame(n, len(keys))[:, mapped])
-    seen = observe(prints, n, layout)
+    prints = prints.take((slice(None), mapped))
+    layout = arrays([world_from_marker[keys[k]] for k in mapped])
+    seen = observe(prints, *layout)
     rotation, translation = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
-    measured = np.bincount(prints.frame, minlength=n) > 0
+    measured = np.asarray(prints.there.any(1))
     if not measured.any():
         return WorldPath(rotation, translation, measured, seen)
     # the largest of each frame first
-    rows = np.lexsort((-np.ptp(prints.seen.ideal, 1).prod(1), prints.frame))
-    frame = prints.frame[rows]
-    ends = np.searchsorted(frame, np.arange(n + 1))
-    starts = rows[np.arange(len(rows)) - ends[frame] < _STARTS]
-    r, t, row = camera_poses(prints, starts, layout)
-    index = prints.frame[row]
-    r, t, cost = refine_poses(r, t, seen.take(index))
+    order = np.argsort(-np.ptp(prints.seen.ideal, 2).prod(2), 1, kind="stable")
+    turn, shift, known = (
+        a[np.arange(n)[:, None], order]
+        for a in (*camera_poses(prints, *layout), prints.known)
+    )
+    starts = known.copy()
+    starts[:, _STARTS:] = False
+    index = np.nonzero(starts)[0]
+    r, t, cost = refine_poses(turn[starts], shift[starts], seen.take(index))
     cost = np.where(t[:, 2] > 0, cost, 1e9)
     path = choose_path(r, t, cost, index, times_s, shot)
     rotation[measured], translation[measured] = r[path], t[path]
     alone = r[best_of_each(index, cost)]
-    turn = rotvec_from_rotation(r[path] @ np.swapaxes(alone, 1, 2))
-    flips = int((np.linalg.norm(turn, axis=1) > FLIP_RAD).sum())
+    between = rotvec_from_rotation(r[path] @ np.swapaxes(alone, 1, 2))
+    flips = int((np.linalg.norm(between, axis=1) > FLIP_RAD).sum())
     # Markers that contradict the others of their frame, another print of the id or a misread,
     # lose their weight. Where the joint pose misses a marker, the pose of each single one is
     # asked how many others agree with it; the largest agreement stays, on a tie that of the
     # larger print.
-    there = seen.weight[:, ::4] > 0
+    there = prints.there
     missed = (_misses(rotation, translation, seen) > 1).any(1) & (there.sum(1) > 1)
-    again, dropped = np.flatnonzero(missed), 0
-    for k in again:
-        r, t, row = camera_poses(prints, rows[ends[k] : ends[k + 1]], layout)
-        # a single marker says less about its neighbours than all together: three times the gate
-        agree = _misses(r, t, seen.take(np.full(len(row), k))) <= 3
-        best = (agree & there[k]).sum(1).argmax()
-        rotation[k], translation[k] = r[best], t[best]
-        seen.weight[k] *= agree[best].repeat(4)
-        dropped += int((there[k] & ~agree[best]).sum())
+    single = known & missed[:, None, None]
+    index = np.nonzero(single)[0]
+    r, t = turn[single], shift[single]
+    # a single marker says less about its neighbours than all together: three times the gate
+    agree = (_misses(r, t, seen.take(index)) <= 3) & there[index]
+    best = best_of_each(index, -agree.sum(1))
+    again, agree = index[best], agree[best]
+    dropped = int((there[again] & ~agree).sum())
+    seen.weight[again] *= agree.repeat(4, 1)
     rotation[again], translation[again], _ = refine_poses(
-        rotation[again], translation[again], seen.take(again)
+        r[best], t[best], seen.take(again)
     )
     return WorldPath(rotation, translation, measured, seen, flips, dropped)
 

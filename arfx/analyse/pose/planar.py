@@ -8,7 +8,7 @@ Source: docs/methods/pose.md#planar."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -37,24 +37,24 @@ class Observed(NamedTuple):
     px_per_ideal: ndarray
     weight: ndarray
 
-    def take(self, index: ndarray | slice | int) -> Observed:
+    def take(self, index: Any) -> Observed:
         return Observed(*(a[index] for a in self))
 
 
 class PlanarPoses(NamedTuple):
-    """Both poses of n prints, best first. rotation : (n, 2, 3, 3);  translation : (n, 2, 3);
-    error_px : (n, 2) rms over the four corners, infinite where there is none"""
+    """Poses of n prints, in the end both, best first. rotation : (n, k, 3, 3);  translation :
+    (n, k, 3);  error_px : (n, k) rms over the four corners, infinite where there is none"""
 
     rotation: ndarray
     translation: ndarray
     error_px: ndarray
 
-    def take(self, index: ndarray) -> PlanarPoses:
+    def take(self, index: Any) -> PlanarPoses:
         return PlanarPoses(*(a[index] for a in self))
 
     @property
     def known(self) -> ndarray:
-        """(n, 2) bool"""
+        """(n, k) bool"""
         return np.isfinite(self.error_px)
 
 
@@ -203,16 +203,16 @@ def _facing_poses(corners_m: ndarray, ideal: ndarray) -> tuple[ndarray, ndarray]
 
     corners_m : (n, 4, 3);  ideal : (n, 4, 2)
     """
-    side, extent = (
+    size, extent = (
         np.linalg.norm(q - np.roll(q, -1, 1), axis=2).mean(1)
         for q in (corners_m, ideal)
     )
     ray = np.pad(ideal.mean(1), ((0, 0), (0, 1)), constant_values=1.0)
     across = ideal[:, 1] - ideal[:, 0] + ideal[:, 2] - ideal[:, 3]
-    right, out = np.pad(across, ((0, 0), (0, 1))), -normalise(ray)
-    right = normalise(right - out * (out * right).sum(1, keepdims=True))
-    rotation = np.stack([right, np.cross(out, right), out], -1)
-    return rotation, ray * divide(side, extent, where_zero=1.0)[:, None]
+    out = -normalise(ray)
+    up = normalise(np.cross(out, np.pad(across, ((0, 0), (0, 1)))))
+    rotation = np.stack([np.cross(up, out), up, out], -1)
+    return rotation, ray * divide(size, extent, where_zero=1.0)[:, None]
 
 
 def _in_sight(rotation: ndarray, translation: ndarray) -> ndarray:
@@ -224,83 +224,59 @@ def _in_sight(rotation: ndarray, translation: ndarray) -> ndarray:
 
 
 def _mirrored(rotation: ndarray, translation: ndarray) -> ndarray:
-    """(n, 3, 3) rotations of markers that, seen from afar, look the same: leaning as much, the
-    other way along the ray to their middle."""
+    """(..., 3, 3) rotations of markers that, seen from afar, look the same: leaning as much,
+    the other way along the ray to their middle."""
     ray = normalise(translation)
-    mirror = np.eye(3) - 2 * ray[:, :, None] * ray[:, None]
+    mirror = np.eye(3) - 2 * ray[..., :, None] * ray[..., None, :]
     return mirror @ rotation @ np.diag([1.0, 1.0, -1.0])
 
 
-def planar_poses(
-    corners_m: ndarray,
-    ideal: ndarray,
-    px_per_ideal: ndarray,
-    sigma_px: ndarray,
-) -> PlanarPoses:
-    """Of n sightings, refined; none where no direction leads to a corner.
-
-    corners_m : (n, 4, 3);  ideal : (n, 4, 2);  px_per_ideal : (n, 4, 2, 2);  sigma_px : (n,)
-    """
-    n = len(ideal)
-    there = np.isfinite(ideal).all((1, 2))
-    weight = np.repeat(there[:, None] * sigma_px[:, None] ** -2.0, 4, 1)
-    ideal = np.where(there[:, None, None], ideal, 0.0)
-    seen = Observed(np.asarray(corners_m), ideal, px_per_ideal, weight)
-    solved = [both_poses(*one) for one in zip(corners_m, ideal, strict=True)]
-    owner = np.repeat(np.arange(n), [*map(len, solved)])
-    rotvec, translation = np.concatenate([np.zeros((0, 2, 3)), *solved]).swapaxes(
-        0, 1
+def planar_poses(seen: Observed) -> PlanarPoses:
+    """Of n sightings of four corners, refined; none where no direction leads to a corner."""
+    there = np.isfinite(seen.ideal).all((1, 2))
+    seen = seen._replace(
+        ideal=np.where(there[:, None, None], seen.ideal, 0.0),
+        weight=seen.weight * there[:, None],
     )
-    rotation = rotation_from_rotvec(rotvec)
-    ahead = _in_sight(rotation, translation)
+    solved = np.zeros((len(there), 2, 2, 3))
+    for k, both in enumerate(map(both_poses, seen.points_m, seen.ideal)):
+        solved[k, : len(both)] = both
+    turn, shift = rotation_from_rotvec(solved[:, :, 0]), solved[:, :, 1]
+    ahead = _in_sight(turn, shift)
     # IPPE returns rubbish for a marker that faces the camera exactly: a start of its own
-    facing = _facing_poses(seen.points_m, ideal)
-    owner = np.concatenate([owner[ahead], np.arange(n)])
-    rotation = np.concatenate([rotation[ahead], facing[0]])
-    translation = np.concatenate([translation[ahead], facing[1]])
-    poses = _refined(rotation, translation, seen.take(owner))
-    # and rubbish for one turned about an axis of its own: the twins are looked for, the same
-    # but for depth, mirrored in their middles
-    rows = _two_best(owner, poses, n)
-    rows = rows[rows >= 0]
-    rotation, translation, _ = (part[rows] for part in poses)
-    seen = seen.take(owner[rows])
-    twins = _refined(_mirrored(rotation, translation), translation, seen)
-    poses = [np.concatenate(parts) for parts in zip(poses, twins, strict=True)]
-    chosen = _two_best(np.concatenate([owner, owner[rows]]), poses, n)
-    out = PlanarPoses(
-        np.tile(np.eye(3), (n, 2, 1, 1)), np.zeros((n, 2, 3)), np.full((n, 2), np.inf)
-    )
-    known = chosen >= 0
-    for whole, values in zip(out, poses, strict=True):
-        whole[known] = values[chosen[known]]
-    return out
+    facing = _facing_poses(seen.points_m, seen.ideal)
+    rotation, translation = (np.repeat(a[:, None], 3, 1) for a in facing)
+    rotation[:, :2][ahead], translation[:, :2][ahead] = turn[ahead], shift[ahead]
+    poses = _two_best(_refined(rotation, translation, seen))
+    # and rubbish for one turned about an axis of its own: the best one's twin is looked for,
+    # the same but for depth, mirrored in its middle
+    rotation, translation, _ = poses.take((slice(None), slice(1)))
+    twin = _refined(_mirrored(rotation, translation), translation, seen)
+    every = (np.concatenate(parts, 1) for parts in zip(poses, twin, strict=True))
+    return _two_best(PlanarPoses(*every))
 
 
-def _refined(
-    rotation: ndarray, translation: ndarray, seen: Observed
-) -> list[ndarray]:
-    """Rotation, translation and the error in px, infinite for one out of sight."""
+def _refined(rotation: ndarray, translation: ndarray, seen: Observed) -> PlanarPoses:
+    """Of n prints k poses each, with an infinite error for one out of sight."""
+    n, k, _ = translation.shape
+    seen = seen.take(np.repeat(np.arange(n), k))
     rotation, translation, _ = refine_poses(
-        rotation, translation, seen, iterations=80
+        rotation.reshape(-1, 3, 3), translation.reshape(-1, 3), seen, iterations=80
     )
     error = rms_px(residuals(rotation, translation, seen), seen.weight)
     error[~(_in_sight(rotation, translation) & seen.weight.any(1))] = np.inf
-    return [rotation, translation, error]
+    poses = rotation, translation, error
+    return PlanarPoses(*(a.reshape(n, k, *a.shape[1:]) for a in poses))
 
 
-def _two_best(owner: ndarray, poses: list[ndarray], n: int) -> ndarray:
-    """(n, 2) which of the poses, by owner, are best and best of those that differ from it;
-    -1: none."""
-    rotation, _, error = poses
-    # worst first: of those assigned to one place the last one stays
-    order = np.lexsort((error, owner))[::-1]
-    order = order[np.isfinite(error[order])]
-    best, other = np.full((2, n), -1)
-    best[owner[order]] = order
+def _two_best(poses: PlanarPoses) -> PlanarPoses:
+    """Of each print's the best, and the best of those that differ from it."""
+    row = np.arange(len(poses.error_px))[:, None]
+    rotation, translation, error = poses.take((row, poses.error_px.argsort(1)))
     # squared distance of two rotation matrices by that angle
-    apart = 8 * np.sin(_SAME_RAD / 2) ** 2
-    away = ((rotation[order] - rotation[best[owner[order]]]) ** 2).sum((1, 2))
-    order = order[away > apart]
-    other[owner[order]] = order
-    return np.stack([best, other], 1)
+    same = 8 * np.sin(_SAME_RAD / 2) ** 2
+    away = ((rotation - rotation[:, :1]) ** 2).sum((2, 3))
+    error[:, 1:][away[:, 1:] <= same] = np.inf
+    return PlanarPoses(rotation, translation, error).take(
+        (row, error.argsort(1)[:, :2])
+    )

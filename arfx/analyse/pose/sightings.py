@@ -9,7 +9,13 @@ from arfx.analyse.markers.corners import shared_px
 from arfx.analyse.markers.detect import Detection, Record, sides
 from arfx.analyse.markers.inner_edges import AGREE_CELLS
 from arfx.analyse.pose.marker_map import Prints
-from arfx.analyse.pose.planar import Observed, lens_scale, planar_poses, residuals
+from arfx.analyse.pose.planar import (
+    Observed,
+    PlanarPoses,
+    lens_scale,
+    planar_poses,
+    residuals,
+)
 from arfx.analyse.tables import by_columns
 from arfx.core.camera import Camera
 from arfx.core.facts import MarkerSighting
@@ -28,17 +34,16 @@ _LEAST_SIGMA_PX = 0.015  # no corner of a real print in a real picture is known 
 class Sightings:
     """All sightings with their geometry.
 
-    prints : those that have a planar pose;  facts : of each frame
+    prints : of those that have a planar pose;  facts : of each frame
     common_px : (frames,) error of a frame's corners that its neighbours' have too
-    sigma_factor : on the predicted sigma"""
+    """
 
     def __init__(
         self, records: Sequence[Record], markers: Sequence[Marker], camera: Camera
     ) -> None:
         from scipy.spatial import cKDTree
 
-        spec = {m.key: m for m in markers}
-        number = {key: k for k, key in enumerate(spec)}
+        number = {m.key: k for k, m in enumerate(markers)}
         seen = [s for r in records for s in r.detections]
         frame = np.repeat(
             np.arange(len(records)), [len(r.detections) for r in records]
@@ -47,28 +52,30 @@ class Sightings:
         corners = columns["corners_px"].reshape(-1, 4, 2)
         blur, misplaced = columns["blur_px"], columns["misplaced_px"]
         sigma = np.hypot(columns["sigma_px"], misplaced)
-        kinds = [spec[s.key] for s in seen]
-        cells = np.array(
-            [
-                cells_per_side(m.family) if isinstance(m, MarkerSpec) else 1
-                for m in kinds
-            ]
-        )
-        points = np.array([m.corners_m for m in kinds]).reshape(-1, 4, 3)
+        marker = np.array([number[s.key] for s in seen], int)
+        cells = np.array([*map(_cells, markers)])[marker]
+        points = np.array([m.corners_m for m in markers])[marker]
         ideal = camera.normalised(corners)
         scale = lens_scale(camera, np.where(np.isfinite(ideal), ideal, 0.0))
         shared = shared_px(corners, blur, cells)
         rough = np.hypot(np.maximum(sigma, _LEAST_SIGMA_PX), shared)
-        poses = planar_poses(points, ideal, scale, rough)
+        every = Observed(
+            points, ideal, scale, np.repeat(rough[:, None] ** -2.0, 4, 1)
+        )
+        poses = planar_poses(every)
         known = poses.known[:, 0]
         sure = known & (sigma < 1.0)
-        every = Observed(points, ideal, scale, np.ones((len(seen), 4)))
-        marker = np.array([number[s.key] for s in seen], int)
-        best = poses.rotation[sure, 0], poses.translation[sure, 0]
-        self.sigma_factor = _sigma_factor(
-            residuals(*best, every.take(sure)), sigma[sure], frame[sure], marker[sure]
-        )
-        px = np.hypot(np.maximum(sigma * self.sigma_factor, _LEAST_SIGMA_PX), shared)
+        best = residuals(poses.rotation[:, 0], poses.translation[:, 0], every)
+
+        def table(rows: ndarray, where: ndarray, nothing: float = 0.0) -> ndarray:
+            """Of frames by markers, from rows (n, ...) of sightings."""
+            shape = len(records), len(markers), *rows.shape[1:]
+            out = np.full(shape, nothing)
+            out[frame[where], marker[where]] = rows[where]
+            return out
+
+        factor = _sigma_factor(table(best, sure, np.nan), table(sigma, sure, np.nan))
+        px = np.hypot(np.maximum(sigma * factor, _LEAST_SIGMA_PX), shared)
         every = every._replace(weight=np.repeat(px[:, None] ** -2.0, 4, 1))
         self.common_px = np.full(len(records), _COMMON_PX)
         np.maximum.at(self.common_px, frame, shared)
@@ -84,7 +91,8 @@ class Sightings:
         off = np.where(off > 0, off, hidden * 0.5 ** (2 * gap_s / _COVERS_S))
         self.common_px = np.hypot(self.common_px, np.sqrt(divide(off, whole)))
         self.prints = Prints(
-            frame[known], marker[known], every.take(known), poses.take(known)
+            Observed(*(table(a, known) for a in every)),
+            PlanarPoses(*(table(a, known) for a in poses)),
         )
         first, second = poses.error_px.T
         ratio = divide(second, first, where_zero=np.inf)
@@ -97,20 +105,20 @@ class Sightings:
             )
 
 
-def _sigma_factor(
-    misfit: ndarray, sigma: ndarray, frame: ndarray, marker: ndarray
-) -> float:
-    """Factor on the predicted sigma (n,), from how residuals (n, 4, 2) change from one
-    sighting of a marker to its next.
+def _cells(marker: Marker) -> int:
+    return cells_per_side(marker.family) if isinstance(marker, MarkerSpec) else 1
+
+
+def _sigma_factor(misfit: ndarray, sigma: ndarray) -> float:
+    """Factor on the predicted sigma (n, m) of m markers in n frames, from how residuals
+    (n, m, 4, 2), NaN of none, change from one frame to the next.
 
     What stays (a bent print, an imperfect lens model) is no noise: taken for noise it
     would let the smoother drag the object away from a picture that shakes. 8
     coordinates minus 6 unknowns leave 2 degrees of freedom."""
-    order = np.lexsort((frame, marker))
-    a, b = order[:-1], order[1:]
-    follows = (marker[a] == marker[b]) & (frame[a] + 1 == frame[b])
-    change = ((misfit[b] - misfit[a]) ** 2).sum((1, 2))
-    chi2 = (change / (sigma[a] ** 2 + sigma[b] ** 2))[follows]
+    change = (np.diff(misfit, axis=0) ** 2).sum((2, 3))
+    chi2 = change / (sigma[1:] ** 2 + sigma[:-1] ** 2)
+    chi2 = chi2[np.isfinite(chi2)]
     if len(chi2) < 5:
         return 1.0
     # by the median of chi squared with two degrees

@@ -23,6 +23,7 @@ from arfx.analyse.pose.chain import (
     information_of_noise,
     least_density,
     smooth_chain,
+    typical_information,
 )
 from arfx.analyse.pose.planar import Observed, huber_cost, jacobian, residuals
 from arfx.core.parallel import parallel_map
@@ -30,8 +31,8 @@ from arfx.core.pose import rotation_from_rotvec, rotvec_from_rotation, skew
 
 # Of each axis, the group that shares its noise: turning about the picture's two axes, about
 # the line of sight; sideways; distance; and the camera's turning about itself (Chain.shake),
-# which turns the marker and moves it sideways at once. And of each group its first axis.
-GROUP, _FIRST = [0, 0, 1, 2, 2, 3, 4], [0, 2, 3, 5, 6]
+# which turns the marker and moves it sideways at once.
+GROUP = [0, 0, 1, 2, 2, 3, 4]
 TURN, ROLL, SIDEWAYS, DISTANCE, SHAKE = range(5)
 # (rad, 1)^2 / s^3. Least: drifts by 2e-4 in ten seconds, below anything visible. Most: 1e4
 # turns a frame by 20 degrees.
@@ -63,9 +64,9 @@ _STIFF = np.array(
 )  # start of the second attempt: hardly any motion but sideways
 # covariance where nothing is seen: a radian, a metre
 _UNKNOWN = np.eye(6)
-_UNSURE_RAD = (
-    0.005  # typical error of a raw tilt above which a frame may lie in a wrong valley
-)
+# typical error of a raw tilt, which is what is known least, above which a frame may lie in a
+# wrong valley
+_UNSURE_RAD = 0.006
 
 
 def _density_over_time(chain: Chain, shot: ndarray) -> ndarray:
@@ -157,10 +158,9 @@ def smooth_poses(
     seen: Observed,
     times_s: ndarray,
     strength: float = 1.0,
-) -> tuple[ndarray, ndarray, ndarray, ndarray]:
+) -> tuple[ndarray, ndarray, ndarray]:
     """Smooth n frames of one shot: rotation (n, 3, 3), translation (n, 3), covariance
-    (n, 6, 6) of the left perturbation [rad, m] in the camera frame, and the learned noise
-    (5,) by group, median over the shot.
+    (n, 6, 6) of the left perturbation [rad, m] in the camera frame.
 
     rotation, translation : start, also in frames without corners (any sensible in-between)
     seen : corners, weight 0 where none;  times_s : (n,) increasing;  strength : factor on
@@ -171,21 +171,21 @@ def smooth_poses(
     n = len(times_s)
     borders = np.linspace(0, n, -(-n // _PIECE) + 1).astype(int)
     raw = rotation, translation, np.broadcast_to(_UNKNOWN, (n, 6, 6))
-    out, noise = [a.copy() for a in raw], []
+    out = [a.copy() for a in raw]
     for first, end in pairwise(borders.tolist()):
         around = slice(max(first - _BESIDE, 0), end + _BESIDE)
         part, piece = seen.take(around), [a[around] for a in raw]
         if part.weight.any():
             poses = piece[0], piece[1]
-            *piece, density = _smooth_piece(*poses, part, times_s[around], strength)
-            noise.append(density)
+            piece = [*_smooth_piece(*poses, part, times_s[around], strength)]
         share = (np.arange(n)[around] + 0.5 - first) / (2 * _FADE) + 0.5
         share = np.clip(share, float(not first), 1.0)
         for whole, mixed in zip(
             out, blended([a[around] for a in out], piece, share), strict=True
         ):
             whole[around] = mixed
-    return *out, np.median(noise, axis=0)
+    turned, moved, covariance = out
+    return turned, moved, covariance
 
 
 def blended(
@@ -213,7 +213,7 @@ def _smooth_piece(
     seen: Observed,
     times_s: ndarray,
     strength: float,
-) -> tuple[ndarray, ndarray, ndarray, ndarray]:
+) -> tuple[ndarray, ndarray, ndarray]:
     """As of smooth_poses."""
     on = seen.weight > 0
     centre = seen.points_m[on].mean(0)
@@ -223,7 +223,7 @@ def _smooth_piece(
     # fix a tilt (a frontal
     # marker) raw poses lie in the wrong valleys, each sure of itself, and only the stiff
     # path finds the one between.
-    if paths[0].typical_turn_error() > _UNSURE_RAD:
+    if typical_information(paths[0].chain.information) < _UNSURE_RAD**-2:
         paths.append(paths[0].iterated(_STIFF, 2 * PASSES))
     while paths:
         path = paths.pop()
@@ -239,8 +239,7 @@ def _smooth_piece(
     covariance = covariances(smooth_chain(path.chain, density).factor)
     to_left = _to_left(_position(path.rotation, path.translation, centre)[0])
     covariance = to_left @ covariance[:, :6, :6] @ np.swapaxes(to_left, 1, 2)
-    middle = np.median(density[:, _FIRST], axis=0)
-    return path.rotation, path.translation, covariance, middle
+    return path.rotation, path.translation, covariance
 
 
 @dataclass
@@ -275,9 +274,9 @@ class _Path:
         links[:, :3, :3] -= bend
         links[:, :3, 12:15] -= bend
         offset = np.hstack([turn, np.diff(position, axis=0), np.zeros((len(dt), 6))])
-        shake = _shake((position[1:] + position[:-1]) / 2)
         firm = information_of_noise(dt)
         least = least_density(information, firm)
+        shake = _shake((position[1:] + position[:-1]) / 2)
         return Chain(information, pull, links, offset, firm, shake, least)
 
     def iterated(self, density: ndarray, passes: int) -> _Path:
@@ -296,16 +295,6 @@ class _Path:
             ):  # rad, or shares of the distance: a thousandth of a pixel
                 break
         return path
-
-    def typical_turn_error(self) -> float:
-        """Median over the frames seen of the largest standard deviation of a turn, radians."""
-        seen = self.chain.information[self.chain.information.any((1, 2))]
-        scale = 1 / np.sqrt(np.maximum(np.einsum("nii->ni", seen), 1e-30))
-        spread = np.linalg.pinv(
-            scale[:, :, None] * seen * scale[:, None], hermitian=True
-        )
-        variance = np.einsum("nii->ni", spread) * scale**2
-        return float(np.sqrt(np.median(variance[:, :3].max(1))))
 
     def likelihood(self, density: ndarray) -> float:
         """Log evidence with the true misfit at these poses in place of the linearised one's
@@ -355,13 +344,10 @@ def _apply_step(
 
 
 def _shake(position: ndarray) -> ndarray:
-    """(n, 6, 6) covariance of a camera that turns by 1 rad^2 about its own x and y, seen at
+    """(n, 6, 2) this module's axes of a camera that turns about its own x and y, seen at
     place (n, 3).
 
     The hand that holds a camera turns it far more than it carries it: the marker turns and
     moves, both at once."""
-    x, y = position[:, 0], position[:, 1]
-    one, none = np.ones_like(x), np.zeros_like(x)
-    turn_x = np.stack([one, none, none, -x * y, -1 - y * y, y], -1)
-    turn_y = np.stack([none, one, none, 1 + x * x, x * y, -x], -1)
-    return np.stack([turn_x, turn_y], -1)
+    ray = np.pad(position[:, :2], ((0, 0), (0, 1)), constant_values=1.0)
+    return np.linalg.inv(_to_left(ray))[..., :2]

@@ -58,7 +58,7 @@ def solve_poses(
     layout = (
         MarkerMap(dict(marker_map))
         if marker_map
-        else map_markers(sightings.prints, len(records), keys)
+        else map_markers(sightings.prints, keys)
     )
     path = world_path(sightings.prints, layout.world_from_marker, keys, shot, times)
     every = visible_intervals(path.measured, shot, times, params.max_gap_s)
@@ -73,7 +73,7 @@ def solve_poses(
             " or none lasts for three frames",
             "are the marker's size and the camera calibration right, and of this clip?",
         )
-    rotation, translation, covariance, noise = smoothed(
+    rotation, translation, covariance = smoothed(
         path, present, times, params.smoothing, sightings.common_px
     )
     seen, on = path.observed, path.measured
@@ -100,14 +100,13 @@ def solve_poses(
             )
         )
     static: str = params.static
-    evidence: dict[str, float] = {}
     if static == "auto":
         poses = {
             f.index: f.camera_from_world
             for f in facts
             if f.camera_from_world is not None
         }
-        static, evidence = decide_static(flow, poses, camera)
+        static = decide_static(flow, poses, camera)
     summary = figures(
         facts,
         keys,
@@ -115,13 +114,15 @@ def solve_poses(
             "raw": quantiles(raw_px[on]),
             "smoothed": quantiles(smooth_px[on]),
         },
-        pose_condition=quantiles(_conditions(path)),
         flips_resolved=path.flips,
-        sigma_factor=sightings.sigma_factor,
         dropped=path.dropped,
-        static_evidence=evidence,
-        map={"given": marker_map is not None, **layout.to_json()},
-        motion_noise=noise,
+        map={
+            "given": marker_map is not None,
+            "frames": layout.frames,
+            "rms_px": layout.rms_px,
+            "condition": layout.condition,
+            "unmapped": list(layout.unmapped),
+        },
     )
     usual_px = max(USUAL_PX, 1e-3 * max(camera.width, camera.height))
     return Analysis(
@@ -140,15 +141,13 @@ def smoothed(
     times_s: ndarray,
     strength: float,
     common_px: ndarray,
-) -> tuple[ndarray, ndarray, ndarray, list[list[float]]]:
+) -> tuple[ndarray, ndarray, ndarray]:
     """The path over each interval of `present` frames, as it is where strength is 0: rotation
-    (n, 3, 3), translation (n, 3), covariance (n, 6, 6) of every frame that is present; the
-    noise learned of each interval.
+    (n, 3, 3), translation (n, 3), covariance (n, 6, 6) of every frame that is present.
 
     common_px : of Sightings"""
     rotation, translation = path.rotation.copy(), path.translation.copy()
     covariance = np.zeros((len(rotation), 6, 6))
-    noise = []
     for interval in present:
         at = np.arange(*interval)
         on = at[path.measured[at]]
@@ -162,10 +161,9 @@ def smoothed(
         rotation[gap], translation[gap], _ = blended(start, end, share)
         part = path.observed.take(at)
         if strength > 0 and len(at) > 1:
-            rotation[at], translation[at], covariance[at], learned = smooth_poses(
+            rotation[at], translation[at], covariance[at] = smooth_poses(
                 rotation[at], translation[at], part, times_s[at], strength
             )
-            noise.append(learned.tolist())
         else:
             info = information(rotation[at], translation[at], part)
             covariance[at] = np.linalg.pinv(info, hermitian=True)
@@ -177,17 +175,7 @@ def smoothed(
         covariance[at] += np.stack(
             [np.interp(times_s[at], times_s[on], entry) for entry in common.T], -1
         ).reshape(-1, 6, 6)
-    return rotation, translation, covariance, noise
-
-
-def _conditions(path: WorldPath) -> ndarray:
-    """Condition number of every measured pose, each parameter in units of its precision."""
-    on = path.measured
-    info = information(
-        path.rotation[on], path.translation[on], path.observed.take(on)
-    )
-    d = np.sqrt(np.maximum(np.einsum("nii->ni", info), 1e-30))
-    return np.linalg.cond(info / d[:, :, None] / d[:, None])
+    return rotation, translation, covariance
 
 
 def _notices(
@@ -195,7 +183,7 @@ def _notices(
 ) -> tuple[str, ...]:
     unmapped, dropped = summary["map"]["unmapped"], summary["dropped"]
     bridged = summary["frames_interpolated"]
-    misfit_px = summary["reprojection_px"]["raw"]["median"] or 0.0
+    misfit_px = summary["reprojection_px"]["raw"]["median"]
     notices = (
         (
             unmapped,

@@ -88,46 +88,37 @@ def with_model(facts: Sequence[FrameFacts], scene: Scene) -> tuple[FrameFacts, .
 
 def jitter_px(
     facts: Sequence[FrameFacts], points_m: ndarray, camera: Camera, raw: bool
-) -> tuple[ndarray, ndarray]:
+) -> ndarray:
     """(frames,) root mean square, px, of the second difference over three successive frames
-    of points' place in the picture, and the same of their place relative to the centre of
-    the markers as measured: there the footage's own motion, which the object has to follow,
-    is taken out.
+    of points' place in the picture, relative to the centre of the markers as measured: the
+    footage's own motion, which the object has to follow, is taken out.
 
     points_m : (n, 3) world, for instance scene.model_corners_m;  raw : of the poses before
     smoothing
     NaN but for the middle of unbroken triples of one shot in which raw and smoothed poses
     both exist, with a marker that is in all three, and evenly spaced (to 20 %)."""
-    position = {}
-    for f in facts:
+    out = np.full(len(facts), np.nan)
+    place = np.full((len(facts), len(points_m), 2), np.nan)
+    for k, f in enumerate(facts):
         smoothed, single = f.camera_from_world, f.raw_camera_from_world
         if smoothed is not None and single is not None:
-            position[f.index] = camera.project(
-                (single if raw else smoothed).apply(points_m)
-            )
-    moved, relative = np.full((2, len(facts)), np.nan)
-    for k, three in enumerate(zip(facts, facts[1:], facts[2:], strict=False), 1):
-        a, b, c = three
-        if any(f.index not in position or f.shot != a.shot for f in three):
-            continue
-        first, second = b.time_s - a.time_s, c.time_s - b.time_s
-        if abs(first - second) > 0.2 * max(first, second):
-            continue
-        bend = np.diff([position[f.index] for f in three], 2, axis=0)[0]
+            place[k] = camera.project((single if raw else smoothed).apply(points_m))
+    step = np.diff([f.time_s for f in facts])
+    bend = np.diff(place, 2, axis=0)
+    even = np.abs(np.diff(step)) <= 0.2 * np.maximum(step[1:], step[:-1])
+    for k in np.flatnonzero(even & np.isfinite(bend).any((1, 2))).tolist():
+        three = facts[k : k + 3]
         keys = set.intersection(*({m.key for m in f.markers} for f in three))
-        if not np.isfinite(bend).any() or not keys:
+        if not keys or three[0].shot != three[2].shot:
             continue
         centres = [
             np.mean([m.corners_px for m in f.markers if m.key in keys], axis=(0, 1))
             for f in three
         ]
-        moved[k], relative[k] = _rms(bend), _rms(bend - np.diff(centres, 2, axis=0))
-    return moved, relative
-
-
-def _rms(offsets_px: ndarray) -> float:
-    """Of the lengths of offsets (n, 2), those that are not known left out."""
-    return float(np.sqrt(2 * np.nanmean(offsets_px * offsets_px)))
+        off = bend[k] - np.diff(centres, 2, axis=0)
+        # of the points that are known
+        out[k + 1] = np.sqrt(2 * np.nanmean(off * off))
+    return out
 
 
 def _outline(points: ndarray) -> ndarray:

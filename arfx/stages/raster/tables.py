@@ -73,12 +73,12 @@ def surface_tables(mesh: SceneMesh) -> SurfaceTables:
     uses: list[tuple[Texture, bool]] = []
     count = len(mesh.materials)
     ints = np.full((count, TWO_SIDED + 1), -1, np.int32)
-    uv_first = np.zeros((count, len(TEXTURE_SLOTS)), np.int32)
-    laid = np.tile(np.eye(2, 3, dtype=np.float32), (count, len(TEXTURE_SLOTS), 1, 1))
+    uv_first = np.zeros((count, len(SLOTS)), np.int32)
+    laid = np.tile(np.eye(2, 3, dtype=np.float32), (count, len(SLOTS), 1, 1))
     for part, material in enumerate(mesh.materials):
         ints[part, MODE] = _MODES[material.alpha_mode]
         ints[part, TWO_SIDED] = material.double_sided
-        for slot, name in enumerate(TEXTURE_SLOTS):
+        for slot, name in enumerate(SLOTS):
             texture = material.textures.get(name)
             if texture is not None and mesh.has_uv[part, texture.uv_set]:
                 ints[part, slot] = len(uses)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import gzip
 import json
 import pickle
-import struct
 from pathlib import Path
 
 import cv2
@@ -383,8 +381,8 @@ def test_a_calibration_that_calls_itself_poor_is_one_notice(
     assert len(notices) == bool(said) and all(words in notices[0] for words in said)
 
 
-@pytest.mark.parametrize("name", ["c.xml", "c.yml.gz", "c.xml.gz"])
-def test_what_opencv_writes_as_xml_or_packed(tmp_path: Path, name: str) -> None:
+def test_what_opencv_writes_as_xml(tmp_path: Path) -> None:
+    name = "c.xml"
     fs = cv2.FileStorage(str(tmp_path / name), cv2.FILE_STORAGE_WRITE)
     fs.write("calibration_time", "Mon 02 Jan 2023 10:00:00")
     fs.write("image_width", 640)
@@ -414,20 +412,12 @@ def test_numpy_archives(tmp_path: Path) -> None:
     assert "np.savez" in str(e.value.hint)
 
 
-def test_colmaps_binary_model(tmp_path: Path) -> None:
+def test_colmaps_binary_model_is_named(tmp_path: Path) -> None:
     path = tmp_path / "cameras.bin"
-    rows = [
-        struct.pack("<IIQQ4d", 1, 1, 640, 480, *K[[0, 1, 0, 1], [0, 1, 2, 2]]),
-        struct.pack("<IIQQ4d", 7, 2, 64, 48, 60, 32, 24, 0),
-    ]
-    path.write_bytes(struct.pack("<Q", 2) + b"".join(rows))
-    shifted = K.copy()
-    shifted[:2, 2] -= 0.5
-    same(load_camera(f"{path}#1"), shifted, np.zeros(0))
-    assert load_camera(f"{path}#7").fx == 60
-    path.write_bytes(struct.pack("<Q", 2) + rows[0])
-    with pytest.raises(InputError, match="not text"):
+    path.write_bytes(bytes(8))
+    with pytest.raises(InputError, match="binary model") as e:
         load_camera(path)
+    assert "cameras.txt" in str(e.value.hint)
 
 
 @pytest.mark.parametrize(
@@ -435,8 +425,7 @@ def test_colmaps_binary_model(tmp_path: Path) -> None:
     [
         (pickle.dumps({"mtx": 1}), "a Python pickle"), (b"MATLAB 5.0 MAT-file", "a MATLAB file"),
         (b"\x93NUMPY\1\0", "a single NumPy array"), (b"PK\3\4nothing", "not a NumPy archive"),
-        (gzip.compress(b"a: 1\n" * 1000000, mtime=0), "unpacks to more than"), (gzip.compress(b"a: 1\n" * 100, mtime=0)[:20], "damaged gzip"),
-        (b"\x1f\x8bnothing", "damaged gzip"), (b"<calibration><f>3</f></calibration>", "XML of another program"),
+        (b"\x1f\x8bnothing", "packed by gzip"), (b"<calibration><f>3</f></calibration>", "XML of another program"),
         (b"<opencv_storage><K>", "neither valid"), (b"<!DOCTYPE a><opencv_storage/>", "a DOCTYPE is not read"),
     ],
 )  # fmt: skip

@@ -52,13 +52,8 @@ def test_a_video_gives_every_map_in_any_order_and_from_any_thread(
     order = [3, 4, 5, 60, 61, 2, 2, 69, 0, 40]
 
     def right(k: int) -> bool:
-        return (
-            np.array_equal(found.load(k, W, H), depth(k).astype(np.float32) / 1000)
-            and found.digest(k) == digests[k]
-        )
+        return np.array_equal(found.load(k, W, H), depth(k).astype(np.float32) / 1000)
 
-    digests = [found.digest(k) for k in range(COUNT)]
-    assert len(set(digests)) == COUNT
     assert all(right(k) for k in order)
     with ThreadPoolExecutor(3) as pool:
         assert all(pool.map(right, range(COUNT)))

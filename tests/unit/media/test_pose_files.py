@@ -18,15 +18,17 @@ def test_lines_in_order_and_their_inverse(tmp_path: Path) -> None:
         "# tx ty tz qx qy qz qw\n1 2 3 0 0 0 1\n\n0,0,0, 0.70710678,0,0,0.70710678\n"
     )
     told = load_poses(path)
-    assert told.times_s is None and len(told.camera_from_given) == 2
-    np.testing.assert_allclose(told.camera_from_given[0].translation_m, [-1, -2, -3])
+    assert told.times_s is None and len(told.given_from_camera) == 2
+    np.testing.assert_allclose(told.given_from_camera[0].translation_m, [1, 2, 3])
     # camera turned by 90 degrees about x: its z is the world's -y
     np.testing.assert_allclose(
-        told.camera_from_given[1].inverse().apply(np.array([0, 0, 1.0])),
+        told.given_from_camera[1].apply(np.array([0, 0, 1.0])),
         [0, -1, 0],
         atol=1e-7,
     )
-    assert told.of_frames([0.1], 1, True, 0.5) == [(told.camera_from_given[1], True)]
+    assert told.of_frames([0.1], 1, True, 0.5) == [
+        (told.given_from_camera[1].inverse(), True)
+    ]
     with pytest.raises(InputError, match="hold 2 lines"):
         told.of_frames([0.0, 0.1, 0.2], 0, True, 0.5)
 

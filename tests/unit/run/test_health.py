@@ -4,13 +4,12 @@ is counted, files are read.
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from arfx.analyse.pose.figures import _deviation
+from arfx.analyse.pose.figures import _deviations
 from arfx.core.cube import face_directions
 from arfx.core.pixels import Pixels
 from arfx.core.stage import Check, JobView
@@ -76,12 +75,11 @@ def test_the_white_furnace_of_a_box_vanishes_and_lost_light_is_seen(
 def test_deviation_is_in_degrees_and_percent() -> None:
     f = facts(scene())
     c = np.diag([1e-4, 1e-4, 4e-4, 1e-6, 1e-6, 4e-6])
-    turn, share = _deviation(f.with_(pose_covariance=c))
+    turn, share = _deviations([f.with_(pose_covariance=c), f])
     assert turn == pytest.approx(np.degrees(0.02)) and share == pytest.approx(
         100 * 0.002 / 0.5
     )
-    assert _deviation(f) is None
-    assert _deviation(f.with_(pose_covariance=c * np.nan)) == (math.inf, math.inf)
+    assert _deviations([f]) == (None, None)
 
 
 def test_a_check_that_failed_says_what_was_done() -> None:
