@@ -259,14 +259,14 @@ class Explanations:
             np.concatenate([np.tile(soft, (n, 1)), best.soft[:, rest]], 1),
             np.tile(full, (n, 1, 1)),
         )
-        return refine(self.groups, lights, 0, _HELD_PASSES)
+        return refine(self.groups, lights, 1, _HELD_PASSES)
 
 
 def _starts(groups: Sequence[Group], most: int) -> list[Lights]:
     """By count, from a grid over the whole sphere."""
     out, grid = [each(np.zeros((1, 0, 3)))], even_directions(DEG_32)
     if most >= 1:
-        ones = _best(*refine(groups, each(grid[:, None]), None, _ROUGH_PASSES), _KEPT)
+        ones = _best(*refine(groups, each(grid[:, None]), 0, _ROUGH_PASSES), _KEPT)
         large = each(np.repeat(ones.dirs[:1], len(_SOFT), 0), _SOFT)
         out.append(joined([ones, large]))
     if most >= 2:
@@ -278,7 +278,7 @@ def _starts(groups: Sequence[Group], most: int) -> list[Lights]:
         out.append(
             joined(
                 [
-                    _best(*refine(groups, k, None, _ROUGH_PASSES), _KEPT)
+                    _best(*refine(groups, k, 0, _ROUGH_PASSES), _KEPT)
                     for k in (pairs, skies)
                 ]
             )
