@@ -10,7 +10,6 @@ Source: Tan, Chen, Sun 2009, eq. (1); docs/methods/light.md#lamps. Cost: 20 to 1
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy import ndarray
@@ -25,7 +24,7 @@ from arfx.analyse.light.hypotheses import (
     Explanations,
     Params,
 )
-from arfx.analyse.light.model import DOME, Lights, bent, refine, solve
+from arfx.analyse.light.model import DOME, Lights, refine, solve
 from arfx.analyse.light.search import gather
 from arfx.core.light import DirectionalLight, Light, harmonics, triple
 from arfx.core.numerics import arccos, normalise
@@ -62,14 +61,13 @@ class FittedLight:
     angular_size_deg : full angle of its disc, a default or what the data allow where they
     do not show it; if merely likely as
         wide as lamps in its place may be spread, up to 30
-    doubt : what else explains the data, in words;  verdict : of its direction"""
+    verdict : of its direction"""
 
     direction: ndarray
     rgb: ndarray
     confidence_deg: float
     angular_size_deg: float = DEFAULT_SIZE_DEG
     verdict: str = MEASURED
-    doubt: str = ""
 
     @property
     def dome(self) -> bool:
@@ -89,8 +87,6 @@ class LightFit:
     well: one
         whose direction is not has confidence_deg 180, and is soft light in `light()`
     model_error : systematic, relative
-    gamma : exponent found in the values
-    span_deg : of the normals;
     """
 
     verdict: str
@@ -99,8 +95,6 @@ class LightFit:
     seen_rgb: ndarray
     lights: tuple[FittedLight, ...] = ()
     model_error: float = 0.0
-    gamma: float = 1.0
-    span_deg: float = 0.0
 
     def irradiance(self, normals: ndarray, group: int = 0) -> ndarray:
         """(..., 3) at unit normals (..., 3): ambient light and `lights`."""
@@ -168,10 +162,9 @@ def span_deg(normals: ndarray) -> float:
 def fit(
     normals: ndarray,
     irradiance: ndarray,
-    variance: ndarray | None = None,
-    group: ndarray | None = None,
+    variance: ndarray | float = 0.0,
+    group: ndarray | int = 0,
     params: Params = Params(),  # noqa: B008 - frozen
-    lit: ndarray | None = None,
 ) -> LightFit:
     """normals : (k, 3) in the frame that the lights are fixed in;  irradiance : (k, 3);
     variance : (k, 3), of noise alone
@@ -179,20 +172,17 @@ def fit(
     directions are shared by all
     groups, amplitudes are each group's own. What is not finite is left out.
     Nothing non-finite leaves.
-    lit : (g,) by the number of the group, share of the lamps that is on: then amplitudes
-    are shared by all groups too
     """
-    s = gather(normals, irradiance, variance, group, MODEL_ERROR, lit)
+    s = gather(normals, irradiance, variance, group, MODEL_ERROR)
     if s is None:
         none = np.zeros((1, 3))
         return LightFit(REFUSED, "no usable observation", none, none)
     span = span_deg(normalise(s.normals))
-    about: dict[str, Any] = {"span_deg": span}
-    groups = s.groups()
+    groups, error = s.groups(), 0.0
     seen = np.array([g.value @ g.root / (g.root @ g.root) for g in groups]) * s.scale
 
-    def refused(why: str, **more: Any) -> LightFit:
-        return LightFit(REFUSED, why, seen, seen, **about, **more)
+    def refused(why: str) -> LightFit:
+        return LightFit(REFUSED, why, seen, seen, model_error=error)
 
     narrow = span < NARROW_DEG and s.condition() > MOST_CONDITION
     if span < LEAST_SPAN_DEG or narrow:
@@ -214,16 +204,14 @@ def fit(
         error = max(error, 1e-4) * float(np.sqrt(misfit))
         if error > MOST_ERROR:
             break
-        s = gather(normals, irradiance, variance, group, error, lit) or s
+        s = gather(normals, irradiance, variance, group, error) or s
         found = Explanations(s, params, found)
-    about["model_error"] = error
     if error > MOST_ERROR:
         return refused(
             f"no lights explain what was seen to better than {error:.1%}: exposure or light"
             " changed, or the surface is glossy",
         )
     model, count = found.best[found.count], found.count
-    about["gamma"] = float(np.exp(bent(found.groups, model)))
     if count == 0:
         return refused(
             "the light is even: no direction stands out, or it comes from behind all"
@@ -240,7 +228,7 @@ def fit(
         return refused(first.doubt)
     size_deg = _size_deg(found, domes)
     lights = []
-    for i, (verdict, cone, doubt) in zip(order, known, strict=True):
+    for i, (verdict, cone, _) in zip(order, known, strict=True):
         size = 180.0 if domes[i] else size_deg
         one = FittedLight(
             model.dirs[0, i],
@@ -248,19 +236,18 @@ def fit(
             NO_CONE_DEG if verdict == REFUSED else cone,
             size,
             verdict,
-            doubt,
         )
         if verdict == LIKELY:
-            one = doubted(one, cone, doubt)
+            one = doubted(one, cone)
         lights.append(one)
     reason = f"{count} light{'s' * (count > 1)}, {_words(first)}"
     if count == 2:
         reason += f"; the second {_words(known[1])}"
     reason += f"; normals over {span:.0f} degrees"
-    return LightFit(first.verdict, reason, amp[:, :, 0], seen, tuple(lights), **about)
+    return LightFit(first.verdict, reason, amp[:, :, 0], seen, tuple(lights), error)
 
 
-def doubted(light: FittedLight, cone_deg: float, doubt: str) -> FittedLight:
+def doubted(light: FittedLight, cone_deg: float) -> FittedLight:
     """The light as a likely one, its disc as wide as lamps in its place may be spread."""
     size_deg = max(light.angular_size_deg, min(cone_deg, MOST_SIZE_DEG))
     return replace(
@@ -268,7 +255,6 @@ def doubted(light: FittedLight, cone_deg: float, doubt: str) -> FittedLight:
         confidence_deg=cone_deg,
         angular_size_deg=size_deg,
         verdict=LIKELY,
-        doubt=doubt,
     )
 
 

@@ -152,7 +152,7 @@ class Explanations:
                 amplitudes[:, number].sum(1),
                 group.root**2,
             )  # (n, m + 1), (k,)
-            column = lights.mix @ lights.columns(group)[0]
+            column = lights.mix @ lights.columns(group.normals)[0]
             seen += size[:, 1:] * (column @ weight)
             total += size[:, 0] * weight.sum()
         share = seen / np.maximum(total + seen.sum(1), 1e-300)[:, None]

@@ -30,14 +30,13 @@ _STUCK = 10.0  # damping from which on a minimum counts as found
 class Group(NamedTuple):
     """Samples that share amplitudes, times the root of their weight.
 
-    normals : (k, 3);  root : (k,);  lit : (k,) share of the lamps that is on
+    normals : (k, 3);  root : (k,)
     value : (3, k) by channel
     bend : (3, k) what a logarithm of the exponent of 1 adds to value
     bend_weight : (3,) inverse of (1 / its variance + bend.bend): 0 where the exponent is 1"""
 
     normals: ndarray
     root: ndarray
-    lit: ndarray
     value: ndarray
     bend: ndarray
     bend_weight: ndarray
@@ -67,16 +66,12 @@ class Lights:
     def __len__(self) -> int:
         return len(self.dirs)
 
-    def columns(self, group: Group) -> tuple[ndarray, ndarray]:
+    def columns(self, normals: ndarray) -> tuple[ndarray, ndarray]:
         """What each direction gives k normals, and its slope by n.d, both (n, q, k)."""
-        c, soft = (
-            self.dirs @ group.normals.T,
-            np.maximum(self.soft, _POINT)[..., None],
-        )
+        c, soft = self.dirs @ normals.T, np.maximum(self.soft, _POINT)[..., None]
         low, full = np.maximum(c + soft, 0), c >= soft
-        on = np.where(soft < DOME, group.lit, 1.0)
         shade, slope = np.where(full, c, low**2 / (4 * soft)), low / (2 * soft)
-        return on * shade, on * np.where(full, 1, slope)
+        return shade, np.where(full, 1, slope)
 
 
 def each(dirs: ndarray, soft: ndarray | float = 0.0) -> Lights:
@@ -143,7 +138,7 @@ def solve(groups: Sequence[Group], lights: Lights, held: int = _ALL) -> Solution
     amplitudes, p = np.empty((n, len(groups), 3, m)), 2 * across.shape[1]
     gradient, curvature = np.zeros((n, p)), np.zeros((n, p, p))
     for number, group in enumerate(groups):
-        shade, slope = lights.columns(group)
+        shade, slope = lights.columns(group.normals)
         turned = slope[:, held:, None] * (across @ group.normals.T)
         rows = np.concatenate(
             [
@@ -214,13 +209,3 @@ def refine(
         )
         moving, damping = moving[on], damping[on]
     return replace(lights, dirs=dirs), chi2
-
-
-def bent(groups: Sequence[Group], lights: Lights) -> float:
-    """Logarithm of the values' exponent beside one set of lights."""
-    amplitudes, exponents = solve(groups, lights).amplitudes[0], []
-    for group, size in zip(groups, amplitudes, strict=True):
-        shade = lights.mix[0] @ lights.columns(group)[0][0]
-        rest = group.value - (size[:, :1] + size[:, 1:] @ shade) * group.root
-        exponents.append((group.bend_weight * (group.bend * rest).sum(1)).mean())
-    return float(np.mean(exponents))

@@ -1,8 +1,8 @@
 """Lights that change: the simplest account of a whole clip that holds.
 
 1. constant: one fit for all;
-2. switched: the lamps are all on or all off between one step of the light and the next; or
-   segments: the directions of the clip, colours and brightness of their own in between;
+2. segments: the directions of the clip, colours and brightness of their own between one step
+   of the light and the next;
 3. shared: the same, with a factor for every frame where frames show several normals, else in
    windows of a few seconds;
 4. windows: a fit for each segment that holds alone, or for each window.
@@ -13,31 +13,19 @@ evidence only gets less. Source: docs/methods/light.md#time."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy import ndarray
 
 from arfx.analyse.light.fit import LightFit, doubted, fit
-from arfx.analyse.light.hypotheses import (
-    LIKELY,
-    MEASURED,
-    NO_CONE_DEG,
-    REFUSED,
-    Params,
-)
+from arfx.analyse.light.hypotheses import LIKELY, NO_CONE_DEG, REFUSED, Params
 from arfx.analyse.light.sphere import DEG_4, nearest_cell
 from arfx.core.light import harmonics
 from arfx.core.numerics import angle_between, divide
 
-CONSTANT, SWITCHED, SEGMENTS, SHARED, WINDOWS = (
-    "constant",
-    "switched",
-    "segments",
-    "shared",
-    "windows",
-)
+CONSTANT, SEGMENTS, SHARED, WINDOWS = "constant", "segments", "shared", "windows"
 # between the halves of a clip whose brightness wanders while one normal is seen at a time
 _AGREE_DEG = 3.0
 _GOOD_ERROR = 0.006  # model error up to which an account holds
@@ -75,13 +63,7 @@ class _Observations:
     group: ndarray
 
     def __getitem__(self, rows: slice | ndarray) -> _Observations:
-        arrays = (
-            self.times_s,
-            self.normals,
-            self.irradiance,
-            self.variance,
-            self.group,
-        )
+        arrays = (getattr(self, f.name) for f in fields(self)[1:])
         return _Observations(self.params, *(a[rows] for a in arrays))
 
     def spans(self, windows: Sequence[tuple[int, LightFit, int]]) -> list[Span]:
@@ -99,9 +81,9 @@ class _Observations:
         sizes = np.diff([*starts, len(self.times_s)])
         return replace(self, group=np.repeat(np.arange(len(sizes)), sizes))
 
-    def fit(self, lights: int = 2, lit: ndarray | None = None) -> LightFit:
+    def fit(self, lights: int = 2) -> LightFit:
         few = replace(self.params, most_lights=min(self.params.most_lights, lights))
-        return fit(self.normals, self.irradiance, self.variance, self.group, few, lit)
+        return fit(self.normals, self.irradiance, self.variance, self.group, few)
 
     def steady(self, found: LightFit) -> bool:
         if found.model_error > _GOOD_ERROR:
@@ -143,7 +125,7 @@ class _Observations:
         doubt = (
             f"its direction differs by {off:.0f} degrees between parts of the clip"
         )
-        first = doubted(first, max(first.confidence_deg, 2 * off), doubt)
+        first = doubted(first, max(first.confidence_deg, 2 * off))
         reason = f"{found.reason}; {doubt}"
         lights = (first, *found.lights[1:])
         return replace(found, verdict=LIKELY, reason=reason, lights=lights)
@@ -163,8 +145,8 @@ def fit_over_time(
     breaks_s: Sequence[float] = (),
     params: Params = Params(),  # noqa: B008 - frozen
 ) -> tuple[str, list[Span]]:
-    """(CONSTANT, SWITCHED, SEGMENTS, SHARED or WINDOWS, spans in order, without gaps, from
-    the first to the last observation).
+    """(CONSTANT, SEGMENTS, SHARED or WINDOWS, spans in order, without gaps, from the first to
+    the last observation).
 
     times_s : (k,) of each observation, one at least, any order;  normals, irradiance,
     variance : (k, 3) as in fit.fit, finite
@@ -174,27 +156,16 @@ def fit_over_time(
     seen = _Observations(
         params, times_s, normals, irradiance, variance, np.zeros(len(times_s), int)
     )[order]
-    constant = seen.fit()
+    constant = refusal = seen.fit()
     if seen.steady(constant):
         return CONSTANT, seen.spans([(0, constant, 0)])
-    segments = window_starts(seen.times_s, breaks_s)
-    refusal, shared, switched = constant, None, _switched(seen, segments)
-    if switched is not None:
-        _, found, _ = switched
-        if found.verdict == MEASURED or len(found.lights) == 1:
-            shared = switched
-    for name, starts in (
-        (SEGMENTS, segments),
-        (SHARED, window_starts(seen.times_s, breaks_s, LONGEST_WINDOW_S)),
-    ):
-        if shared is not None:
-            break
-        if name == SHARED:
-            pumped = _exposure_drift_fit(seen)
-            if pumped is not None and pumped.model_error <= _GOOD_ERROR:
-                return SHARED, seen.spans([(0, pumped, 0)])
-        elif len(starts) < 2:
+    segments, shared = window_starts(seen.times_s, breaks_s), None
+    for name, longest_s in (SEGMENTS, np.inf), (SHARED, LONGEST_WINDOW_S):
+        starts = window_starts(seen.times_s, breaks_s, longest_s)
+        if name == SEGMENTS and len(starts) < 2:
             continue
+        if name == SHARED and (pumped := _exposure_drift_fit(seen)) is not None:
+            return SHARED, seen.spans([(0, pumped, 0)])
         grouped = seen.grouped(starts)
         found = grouped.fit()
         if found.model_error <= _GOOD_ERROR < refusal.model_error:
@@ -205,20 +176,17 @@ def fit_over_time(
             found = grouped.confirmed(found)
         if found.claimed:
             windows = [(start, found, group) for group, start in enumerate(starts)]
-            shared = name, found, seen.spans(windows)
-    held = [h for h in (switched, shared) if h is not None]
-    shared = min(
-        held, key=lambda h: (h[1].verdict != MEASURED, len(h[1].lights)), default=None
-    )
-    if shared is not None and len(shared[1].lights) == 1:
-        return shared[0], shared[2]
+            shared = name, seen.spans(windows)
+            if len(found.lights) == 1:
+                return shared
+            break
     windows = []
     for start, piece in zip(segments, seen.pieces(segments), strict=True):
         found, large = piece.fit(), len(piece.times_s) >= _LEAST_PIECE
         holds = large and found.claimed and piece.steady(found)
         # one light of its own in each segment, or two for all: the former is simpler
         if shared is not None and large and not (holds and len(found.lights) == 1):
-            return shared[0], shared[2]
+            return shared
         if holds:
             windows.append((start, found, 0))
             continue
@@ -231,41 +199,6 @@ def fit_over_time(
     if not last.claimed and not refusal.claimed:
         last = replace(last, reason=refusal.reason)
     return CONSTANT, seen.spans([(0, last, 0)])
-
-
-def _switched(
-    seen: _Observations, segments: Sequence[int]
-) -> tuple[str, LightFit, list[Span]] | None:
-    """The account of lamps that are all on or all off, where that holds."""
-    if (lit := switches(seen.times_s, seen.irradiance, segments)) is None:
-        return None
-    grouped = seen.grouped(segments)
-    found = grouped.fit(lit=lit)
-    by_state = replace(grouped, group=lit[grouped.group].astype(int))
-    if not found.claimed or not by_state.steady(found):
-        return None
-    dark = replace(found, lights=tuple(li for li in found.lights if li.dome))
-    states = [
-        (a, found if on else dark, 0) for a, on in zip(segments, lit, strict=True)
-    ]
-    return SWITCHED, found, seen.spans(states)
-
-
-def switches(
-    times_s: ndarray, irradiance: ndarray, starts: Sequence[int]
-) -> ndarray | None:
-    """(g,) 1 where the lamps are on, 0 where off, in the segments that begin at these
-    observations; None where steps do not go down and up in turn.
-
-    What a step does is seen from the observations, times ascending, right before and after it."""
-    light, signs = irradiance.mean(1), []
-    for start in starts[1:]:
-        last = light[:start][times_s[:start] == times_s[start - 1]]
-        first = light[start:][times_s[start:] == times_s[start]]
-        signs.append(np.sign(first.mean() - last.mean()))
-    if not signs or not all(signs) or any(a == b for a, b in pairwise(signs)):
-        return None
-    return np.array([signs[0] < 0, *(s > 0 for s in signs)], float)
 
 
 def window_starts(
@@ -318,7 +251,8 @@ def _exposure_drift_fit(seen: _Observations) -> LightFit | None:
         g = matched(frame, found.irradiance(n).mean(1), E.mean(1))[frame]
         if not (g > 1e-3).all():
             return None
-    if drift(seen.times_s, n, E / g[:, None]) > _MOST_DRIFT:
+    off = drift(seen.times_s, n, E / g[:, None])
+    if found.model_error > _GOOD_ERROR or off > _MOST_DRIFT:
         return None
     soft = (
         replace(li, confidence_deg=NO_CONE_DEG, verdict=REFUSED)
@@ -331,7 +265,7 @@ def drift(
     times_s: ndarray,
     normals: ndarray,
     irradiance: ndarray,
-    group: ndarray | None = None,
+    group: ndarray | int = 0,
 ) -> float:
     """Root mean square over time, relative to the level, of how normals differ from
     themselves at other times of a group.
@@ -339,13 +273,12 @@ def drift(
     times_s : (k,);  normals, irradiance : (k, 3);  group : (k,) int. Means of a quarter of
     a second, so that noise is little.
     """
-    light = np.asarray(irradiance, float).mean(1)
-    level = float(np.percentile(light, 90)) if len(light) else 0.0
+    light = irradiance.mean(1)
+    level = np.percentile(light, 90)
     if level <= 0:
         return 0.0
     H = harmonics(normals)  # slope within a cell taken out
     off = (light - H @ np.linalg.lstsq(H, light, rcond=1e-6)[0]) / level
-    group = np.zeros(len(light), int) if group is None else group
     cell = np.unique(
         group * DEG_4 + nearest_cell(normals, DEG_4), return_inverse=True
     )[1]
@@ -369,7 +302,7 @@ def gains(times_s: ndarray, normals: ndarray, irradiance: ndarray) -> ndarray | 
     if np.mean(_mean_lengths(times_s, normals) < _APART) < _LEAST_FRAMES:
         return None
     frame = np.unique(times_s, return_inverse=True)[1]
-    light, H = np.asarray(irradiance, float).mean(1), harmonics(normals)
+    light, H = irradiance.mean(1), harmonics(normals)
     g = np.ones(frame.max() + 1)
     for _ in range(_PASSES):
         model = H @ np.linalg.lstsq(g[frame, None] * H, light, rcond=1e-6)[0]

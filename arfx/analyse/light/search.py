@@ -28,7 +28,6 @@ class Samples:
     channels' bright levels
     weight : (k,) inverse variance;  starts : (g + 1,) rows of the groups;  effective :
     number of independent values
-    lit : (k,) share of the lamps that is on, 0..1
     """
 
     normals: ndarray
@@ -37,7 +36,6 @@ class Samples:
     starts: ndarray
     scale: ndarray
     effective: float
-    lit: ndarray
 
     def groups(self, gamma_sigma: float = 0.0) -> list[Group]:
         """gamma_sigma : standard deviation of the values' exponent's logarithm"""
@@ -53,7 +51,6 @@ class Samples:
                 Group(
                     self.normals[rows],
                     root[rows],
-                    self.lit[rows],
                     value * root[rows],
                     bend,
                     weight,
@@ -75,29 +72,19 @@ class Samples:
 def gather(
     normals: ndarray,
     irradiance: ndarray,
-    variance: ndarray | None,
-    group: ndarray | None,
+    variance: ndarray | float,
+    group: ndarray | int,
     model_error: float,
-    lit: ndarray | None = None,
 ) -> Samples | None:
-    """None where nothing is usable. normals (k, 3), irradiance (k, 3), variance (k, 3) or
-    what broadcasts, group (k,) int.
+    """None where nothing is usable. normals (k, 3), irradiance (k, 3), variance (k, 3), group
+    (k,) int, or what broadcasts.
 
     model_error : systematic error of the irradiance relative to its bright level. It is one
     and the same within a coarse
     cell of normals, so that more observations there add nothing beyond it.
-    lit : (g,) share of the lamps that is on in each group; then all groups are one, with
-    the same light
     """
     n, E = (np.asarray(a, float).reshape(-1, 3) for a in (normals, irradiance))
-    v = np.broadcast_to(
-        np.asarray(0 if variance is None else variance, float), E.shape
-    )
-    g = (
-        np.zeros(len(n), int)
-        if group is None
-        else np.asarray(group).ravel().astype(int)
-    )
+    v, g = np.broadcast_to(variance, E.shape), np.broadcast_to(group, len(n))
     fine = np.isfinite(n).all(1) & np.isfinite(E).all(1) & np.isfinite(v).all(1)
     length = np.linalg.norm(np.where(fine[:, None], n, 0), axis=1)
     fine &= (length > 0.5) & ((v >= 0) & (v < _UNUSABLE)).all(1)
@@ -123,13 +110,8 @@ def gather(
     many, floor = np.bincount(coarse)[coarse], model_error**2
     variance_of_mean = V + many * floor + _LEAST**2
     effective = 3 * float(((V + floor + 1e-300) / (V + many * floor + 1e-300)).sum())
-    starts, on = np.searchsorted(groups, np.arange(groups.max() + 2)), np.ones(len(N))
-    if lit is not None:
-        starts, on = (
-            np.array([0, len(N)]),
-            np.asarray(lit, float)[np.unique(g)[groups]],
-        )
-    return Samples(N, X, 1 / variance_of_mean, starts, scale, effective, on)
+    starts = np.searchsorted(groups, np.arange(groups.max() + 2))
+    return Samples(N, X, 1 / variance_of_mean, starts, scale, effective)
 
 
 def _mean(n: ndarray, E: ndarray, v: ndarray) -> tuple[ndarray, ndarray, float]:

@@ -19,7 +19,6 @@ from arfx.analyse.light.over_time import (
     CONSTANT,
     SEGMENTS,
     SHARED,
-    SWITCHED,
     WINDOWS,
     Span,
     fit_over_time,
@@ -47,7 +46,6 @@ MODEL_ERROR = 0.003
 LEAST_SEEN = 0.02
 _TEMPORAL_MODELS = {
     CONSTANT: "constant over the clip",
-    SWITCHED: "its lamps are switched",
     SEGMENTS: "constant between its steps",
     SHARED: "its direction rests, its brightness or the exposure changes",
     WINDOWS: "its direction changes",
@@ -137,7 +135,6 @@ class StaticFrameLight:
             why += f"; {_TEMPORAL_MODELS[model]}"
             light = best.fit.light(best.group)
             return lights, self.report(verdict, why, light) | {
-                "gamma": best.fit.gamma,
                 "account": model,
                 "gain": self._relative_gain(lights) if model == SHARED else None,
                 "spans": [
