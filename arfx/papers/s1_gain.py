@@ -119,17 +119,13 @@ def brightness(intensity: ndarray) -> ndarray:
 
 
 def gain_and_bias(
-    intensity: ndarray,
-    albedo: ndarray,
-    clipped: ndarray | None = None,
-    printed_bias: bool = False,
+    intensity: ndarray, albedo: ndarray, printed_bias: bool = False
 ) -> Photometry:
     """(4) to (6) for all channels, arguments as in photometry.solve. No variances: the
     paper has none; those reported are of the residuals. printed_bias : b = 1/b' in place of
     b'/g' (y stays as solved)."""
-    channels, ignored = weighted(intensity, None, albedo)
     parts = []
-    for grey, weight, rho in channels:
+    for grey, weight, rho in weighted(intensity, None, albedo):
         seen = weight.any(1)
         part = bright_patches(grey, weight, rho, UNUSABLE, 0)
         if seen.any():
@@ -155,7 +151,7 @@ def gain_and_bias(
                 why = ""
             part = part._replace(why=why, rank=found.rank, condition=found.condition)
         parts.append(part._replace(unknowns=int(seen.sum()) + 2))
-    return assemble(parts, clipped, ignored)
+    return assemble(parts)
 
 
 def _sparse(grey: ndarray, r: ndarray, m: ndarray) -> tuple[ndarray, ndarray]:

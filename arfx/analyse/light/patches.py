@@ -1,8 +1,8 @@
 """A print as a light meter: robust means of a marker's black and white cells, or of a
 pattern's dark and bright ones, in one frame, in linear light.
 
-What biases a mean beyond its noise goes into its variance. `comparable` gives a fit readings
-of one kind where prints are partly overexposed.
+What biases a mean beyond its noise goes into its variance. `of_one_scale` reads overexposed
+prints by their ink.
 Source: Tan, Chen, Sun 2009, section 2.1; docs/methods/light.md#meter. Cost: about 1 ms for
 a marker of 270 px.
 """
@@ -19,7 +19,6 @@ from numpy import ndarray
 
 from arfx.analyse.light.photometry import (
     UNKNOWN_VARIANCE,
-    LightReading,
     Photometry,
     bright_patches,
     weighted,
@@ -38,7 +37,9 @@ OUT = 3.5  # robust standard deviations beyond which a sample is no part of its 
 # share of a reading's paper samples that are clipped, from which the paper says nothing
 # exact
 OVEREXPOSED = 0.02
-FEW = 0.15  # of the readings: so many spoilt ones can be left out
+FEWEST_BOTH = (
+    10  # readings that show ink and paper, to bring one to the other's scale
+)
 _GAMMA = 2.2  # about the slope of the transfer function
 # cells along a pattern's side; how many of a quarter's are its bright ones, and its dark ones
 GRID, CHOSEN = 10, 8
@@ -293,26 +294,33 @@ def stack(
     return intensity, variance, clipped, np.reshape(albedos, intensity.shape)
 
 
-def comparable(
+def of_one_scale(
     p: Photometry,
     intensity: ndarray,
     variance: ndarray,
     clipped: ndarray,
     albedo: ndarray,
-) -> LightReading | None:
-    """Readings of one kind where p's are not, None = they are. Arguments as for `solve`.
+) -> Photometry:
+    """p, with overexposed readings by their ink. It is brought to the paper's scale, which ink
+    of another albedo does not have, by the readings that show both; where they are too few,
+    all are read by their ink. Arguments as for `solve`.
 
     albedo : (t, p, 3)"""
     overexposed = p.seen & (clipped[:, WHITE].sum(1) > OVEREXPOSED * WHITE.sum())
-    few = overexposed.sum() <= FEW * p.seen.sum()
-    if not overexposed.any() or (few and not p.determined.all()):
-        return None
-    if few:
-        return replace(p.reading, fit=p.seen & ~overexposed)
-    # by the ink alone
-    channels, _ = weighted(intensity - p.bias, variance, albedo)
+    if not overexposed.any():
+        return p
+    channels = weighted(intensity - p.bias, variance, albedo)
     ink = [bright_patches(grey, w * ~WHITE, rho, "", 0) for grey, w, rho in channels]
     y, own = np.stack([part[:2] for part in ink], -1)
     known = p.seen & (own < UNKNOWN_VARIANCE).all(1)
-    own = np.where(known[:, None], own * p.misfit**2, p.var_y_own)
-    return LightReading(np.where(known[:, None], y, p.y), own, known)
+    both = known & ~overexposed
+    if both.sum() >= FEWEST_BOTH:
+        pairs = zip(y[both].T, p.y[both].T, strict=True)
+        slope, offset = np.transpose([np.polyfit(*pair, 1) for pair in pairs])
+        y, own, known = slope * y + offset, slope**2 * own, known & overexposed
+    rows = known[:, None]
+    return replace(
+        p,
+        y=np.where(rows, y, p.y),
+        var_y_own=np.where(rows, own * p.misfit**2, p.var_y_own),
+    )

@@ -44,20 +44,6 @@ _HUBER, _PASSES = 1.345, 25
 _NORMAL_95 = 1.96
 
 
-@dataclass(frozen=True, eq=False)
-class LightReading:
-    """y, variance : (k, 3) radiance of a white surface, and its variance;  fit : (k,) bool,
-    readings of one kind, for a fit over normals
-    """
-
-    y: ndarray
-    variance: ndarray
-    fit: ndarray
-
-    def at(self, rows: ndarray) -> LightReading:
-        return LightReading(self.y[rows], self.variance[rows], self.fit[rows])
-
-
 class Channel(NamedTuple):
     """One channel of a Photometry; why : its bias is assumed, "" = it is not."""
 
@@ -89,8 +75,7 @@ class Photometry:
     assumed
     bias : (3,);  bias_95 : (3, 2) interval, the
     tolerances included
-    misfit : (3,) residuals in units of their stated deviations;  clipped : share of
-    samples;  ignored : patches not finite
+    misfit : (3,) residuals in units of their stated deviations
     """
 
     y: ndarray
@@ -103,8 +88,6 @@ class Photometry:
     bias: ndarray
     bias_95: ndarray
     misfit: ndarray
-    clipped: float
-    ignored: int
 
     @property
     def determined(self) -> ndarray:
@@ -124,10 +107,6 @@ class Photometry:
         return (
             f"{channels}: {why}; bias 0 assumed, light from the bright patches alone"
         )
-
-    @property
-    def reading(self) -> LightReading:
-        return LightReading(self.y, self.var_y_own, self.seen)
 
 
 class Tolerances(NamedTuple):
@@ -153,18 +132,16 @@ def solve(
     intensity: ndarray,
     variance: ndarray | None,
     albedo: ndarray,
-    clipped: ndarray | None = None,
     tolerances: Tolerances = USUAL,
     most_bias: ndarray | None = None,
     print_: ndarray | None = None,
 ) -> Photometry:
     """intensity : (t, p, 3) linear, NaN = not measured;  variance : (t, p, 3) or None =
     equal and unknown
-    albedo : (p,), (t, p) or (t, p, 3);  clipped : (t, p) shares, for the report
-    tolerances : go into bias_95
+    albedo : (p,), (t, p) or (t, p, 3);  tolerances : go into bias_95
     most_bias : (3,) what the clip's darkest pixels show: no black level is above it
     print_ : (t,) int, which was seen, None = one: inks differ"""
-    channels, ignored = weighted(intensity, variance, albedo)
+    channels = weighted(intensity, variance, albedo)
     known = variance is not None
     which = np.zeros(len(intensity), int) if print_ is None else print_
     parts = [_solve_channel(*c, which, known, tolerances) for c in channels]
@@ -174,15 +151,14 @@ def solve(
             bright_patches(*c, TOO_BRIGHT, p.rank, p.condition)
             for c, p in zip(channels, parts, strict=True)
         ]
-    return assemble(parts, clipped, ignored)
+    return assemble(parts)
 
 
 def weighted(
     intensity: ndarray, variance: ndarray | None, albedo: ndarray
-) -> tuple[list[tuple[ndarray, ndarray, ndarray]], int]:
-    """([values, 0 where not usable; inverse variances, 0 = not usable, else 1 if unknown;
-    albedos: each (t, p)] by channel, number of patches that are not finite). Arguments as
-    for `solve`.
+) -> list[tuple[ndarray, ndarray, ndarray]]:
+    """[values, 0 where not usable; inverse variances, 0 = not usable, else 1 if unknown;
+    albedos: each (t, p)] by channel. Arguments as for `solve`.
     """
     value, rho = np.asarray(intensity, float), np.asarray(albedo, float)
     rho = np.broadcast_to(rho if rho.ndim == 3 else rho[..., None], value.shape)
@@ -193,26 +169,13 @@ def weighted(
     weight = divide(1.0, np.maximum(v, max(1e-4 * usual, 1e-18)))
     arrays = np.where(fine, value, 0.0), np.where(fine, weight, 0.0), rho
     by_channel = (np.moveaxis(a, -1, 0) for a in arrays)
-    ignored = int((~np.isfinite(value)).any(-1).sum())
-    return list(zip(*by_channel, strict=True)), ignored
+    return list(zip(*by_channel, strict=True))
 
 
-def assemble(
-    parts: Sequence[Channel], clipped: ndarray | None, ignored: int
-) -> Photometry:
+def assemble(parts: Sequence[Channel]) -> Photometry:
     """A Photometry of the channels' results."""
-    columns = {
-        name: np.array(column)
-        for name, column in zip(
-            Channel._fields, zip(*parts, strict=True), strict=True
-        )
-    }
-    columns |= {"y": columns["y"].T, "var_y_own": columns["var_y_own"].T}
-    columns["seen"] = np.asarray(columns["seen"].any(0))
-    share = (
-        float(np.mean(clipped)) if clipped is not None and np.size(clipped) else 0.0
-    )
-    return Photometry(**columns, clipped=share, ignored=ignored)
+    y, own, seen, *rest = map(np.array, zip(*parts, strict=True))
+    return Photometry(y.T, own.T, np.asarray(seen.any(0)), *rest)
 
 
 def bright_patches(
