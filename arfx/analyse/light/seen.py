@@ -28,9 +28,14 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
-from arfx.analyse.light.surroundings import from_panorama, turned
+from arfx.analyse.light.surroundings import (
+    PANORAMA_PX,
+    camera_axes,
+    from_panorama,
+    turned,
+)
 from arfx.core.camera import Camera
-from arfx.core.cube import SeenEnvironment, face_directions, resampled
+from arfx.core.cube import CubeMap, SeenEnvironment, face_directions, resampled
 from arfx.core.facts import FrameFacts
 from arfx.core.numerics import divide, smoothstep
 
@@ -121,17 +126,10 @@ def with_seen(
             times, names = keys[f.shot]
             place = np.interp(f.time_s, times, np.arange(len(times)))
             k = min(int(place), len(names) - 1)
-            axes = (
-                tuple(f.camera_from_world.rotation.ravel().tolist())
-                if still_camera
-                else None
-            )
             pair = names[k], names[min(k + 1, len(names) - 1)]
-            f = f.with_(
-                seen_environment=SeenEnvironment(
-                    pair, round(float(place - k), 4), axes
-                )
-            )
+            axes = camera_axes(f) if still_camera else None
+            between = SeenEnvironment(pair, round(float(place - k), 4), axes)
+            f = f.with_(seen_environment=between)
         out.append(f)
     return tuple(out), maps
 
@@ -139,22 +137,26 @@ def with_seen(
 def given_everywhere(
     facts: Sequence[FrameFacts], panorama: ndarray, world_from_anchor: ndarray
 ) -> Seen:
-    """The same of a picture of all surroundings, as surroundings.from_panorama takes it.
+    """The same, and `environment`, of a picture of all surroundings, as
+    surroundings.from_panorama takes it.
 
     world_from_anchor : (3, 3)
     """
-    faces = turned(from_panorama(panorama, FACE_PX), np.asarray(world_from_anchor).T)
+    small, faces = (
+        turned(from_panorama(panorama, size), world_from_anchor.T)
+        for size in (PANORAMA_PX, FACE_PX)
+    )
     faces = np.clip(divide(faces, faces.mean()), 0, 6e4)  # its scale means nothing
     maps: dict[str, ndarray] = {}
     name = _named(np.concatenate([faces, np.ones_like(faces[..., :1])], -1), maps)
-    seen = SeenEnvironment((name, name), 0.0)
-    return (
-        tuple(
-            f if f.camera_from_world is None else f.with_(seen_environment=seen)
-            for f in facts
-        ),
-        maps,
+    seen, given = SeenEnvironment((name, name), 0.0), CubeMap.of(small)
+    lit = (
+        f
+        if f.camera_from_world is None
+        else f.with_(environment=given, seen_environment=seen)
+        for f in facts
     )
+    return tuple(lit), maps
 
 
 def _named(rgba: ndarray, maps: dict[str, ndarray]) -> str:
@@ -168,8 +170,8 @@ def _named(rgba: ndarray, maps: dict[str, ndarray]) -> str:
 class _Posed:
     """A snapshot in the axes at rest. camera_from_static : rotation (3, 3);  centre_m : the
     anchor, camera axes
-    picture : (h, w, 3) float32, without the camera's bias, over `level` (3,);  lamps :
-    directions, axes at rest
+    picture : (h, w, 3) float32, without the camera's bias, over `level` (3,);  lamps : (n,
+    3) directions, axes at rest
     """
 
     time_s: float
@@ -178,7 +180,7 @@ class _Posed:
     camera: Camera
     camera_from_static: ndarray
     centre_m: ndarray
-    lamps: tuple[ndarray, ...]
+    lamps: ndarray
 
     @staticmethod
     def of(
@@ -204,7 +206,7 @@ class _Posed:
             camera,
             rotation,
             pose.apply(centre_m),
-            tuple(static @ li.unit for li in light.lights),
+            np.reshape([static @ li.unit for li in light.lights], (-1, 3)),
         )
 
     def seen(
@@ -225,40 +227,23 @@ class _Posed:
         border = cv2.BORDER_REPLICATE
         found = cv2.remap(self.picture, x, y, cv2.INTER_LINEAR, borderMode=border)
         rgb, weight = found.reshape(-1, 3), smoothstep(inside)
-        for lamp in self.lamps:
-            bright = smoothstep(
-                ((rgb * self.level).max(1) - LAMP[0]) / (LAMP[1] - LAMP[0])
-            )
-            weight = weight * (
-                1 - bright * (directions @ lamp > np.cos(np.radians(LAMP_DEG)))
-            )
-        return rgb, weight
+        bright = ((rgb * self.level).max(1) - LAMP[0]) / (LAMP[1] - LAMP[0])
+        at_lamp = directions @ self.lamps.T > np.cos(np.radians(LAMP_DEG))
+        return rgb, weight * (1 - smoothstep(bright) * at_lamp.any(1))
 
 
 def _inverse_radius(snapshots: Sequence[_Posed], up: ndarray) -> float:
     """1/m: that of NEARNESSES with which the snapshots agree best on what is above the plane;
     the farthest of those as good.
     """
-    chosen = [
-        snapshots[i]
-        for i in np.unique(
-            np.linspace(0, len(snapshots) - 1, SWEEP_LOOKS).astype(int)
-        )
-    ]
+    some = np.unique(np.linspace(0, len(snapshots) - 1, SWEEP_LOOKS).astype(int))
     d = face_directions(SWEEP_PX).reshape(-1, 3)
     d = d[d @ up > 0]
-    distance_m = float(
-        np.mean([np.linalg.norm(snapshot.centre_m) for snapshot in snapshots])
-    )
-    cost, inverse = [], np.array(NEARNESSES) / max(distance_m, 1e-9)
+    distances_m = np.linalg.norm([s.centre_m for s in snapshots], axis=1)
+    cost, inverse = [], np.array(NEARNESSES) / max(distances_m.mean(), 1e-9)
     for inverse_radius in inverse:
-        rgb, weight = map(
-            np.array,
-            zip(
-                *(snapshot.seen(d, inverse_radius) for snapshot in chosen),
-                strict=True,
-            ),
-        )
+        seen = [snapshots[i].seen(d, inverse_radius) for i in some]
+        rgb, weight = map(np.array, zip(*seen, strict=True))
         total, weights = weight.sum(0), weight[..., None]
         # as it looks: a lamp does not outweigh the room
         first = (weights * np.sqrt(rgb)).sum(0)

@@ -70,7 +70,7 @@ def analysed(
         )
         for look in clip.looks
     ]
-    guessed = with_environment(clip.facts, samples, still_camera, None, np.eye(3))
+    guessed = with_environment(clip.facts, samples, still_camera)
     return with_seen(guessed, clip.looks, CAMERA, still_camera, np.zeros(3), UP)
 
 
@@ -287,7 +287,7 @@ def test_a_given_panorama_is_known_everywhere() -> None:
     ]
     assert side / other == pytest.approx(4, rel=0.1)
     assert {f.seen_environment for f in found} == {found[0].seen_environment}
-    given = with_environment(found, [], False, picture, np.eye(3))[0]
+    given = found[0]
     narrow, wide = cubes(given, scene(maps))
     np.testing.assert_array_equal(narrow, wide)
     assert irradiance(narrow, UP) == pytest.approx(
