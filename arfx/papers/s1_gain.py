@@ -127,7 +127,7 @@ def gain_and_bias(
     parts = []
     for grey, weight, rho in weighted(intensity, None, albedo):
         seen = weight.any(1)
-        part = bright_patches(grey, weight, rho, UNUSABLE, 0)
+        part = bright_patches(grey, weight, rho, UNUSABLE)
         if seen.any():
             found = eq6_smallest_vector(np.where(weight > 0, grey, np.nan), rho)
             why = f"the system has nullity {found.nullity}, not 1"
@@ -149,8 +149,8 @@ def gain_and_bias(
                     misfit=float(np.sqrt(spread)),
                 )
                 why = ""
-            part = part._replace(why=why, rank=found.rank, condition=found.condition)
-        parts.append(part._replace(unknowns=int(seen.sum()) + 2))
+            part = part._replace(why=why, condition=found.condition)
+        parts.append(part)
     return assemble(parts)
 
 

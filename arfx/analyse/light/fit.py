@@ -129,7 +129,7 @@ class LightFit:
         """As the light that every effect shares: known directions are lights, all else is
         soft (degree 2 harmonics).
         """
-        ambient, lamps, shaped = np.array(self.ambient_rgb[group]), [], False
+        ambient, lamps, shaped = self.ambient_rgb[group], [], False
         soft = np.zeros((9, 3))
         soft[0] = ambient * np.sqrt(4 * np.pi)
         for li in self.lights:
@@ -142,11 +142,11 @@ class LightFit:
                     DirectionalLight(*towards, li.angular_size_deg, cone_deg)
                 )
                 continue
-            fraction, mean = (_DOME, 1 / 3) if li.dome else (_COSINE, 1 / 4)
+            fraction, shaped = (_DOME if li.dome else _COSINE), True
             soft += (fraction * harmonics(li.direction))[:, None] * rgb
-            ambient, shaped = ambient + rgb * mean, True
-        rows = tuple(map(triple, soft)) if shaped else ()
-        return Light(triple(ambient), tuple(lamps), "marker", rows)
+        if shaped:
+            return Light.of_soft(soft, tuple(lamps), "marker")
+        return Light(triple(ambient), tuple(lamps), "marker")
 
 
 def span_deg(normals: ndarray) -> float:

@@ -160,7 +160,6 @@ def with_light(
         )
     p = photometry
     known_bias = p.determined.all()
-    figures = ("rank", "unknowns", "condition", "misfit")
     summary = {
         "frames_with_real_shadow": len(shaded),
         "shadow_edge": edge_clue([*shaded.values()], corners_m),
@@ -174,7 +173,8 @@ def with_light(
         "photometry": {
             "verdict": p.verdict,
             "reason": p.reason,
-            **{name: getattr(p, name).tolist() for name in figures},
+            "condition": p.condition.tolist(),
+            "misfit": p.misfit.tolist(),
             "readings": len(p.seen),
             "readings_used": int(p.seen.sum()),
             "not_finite": int(np.isnan(intensity).any(-1).sum()),

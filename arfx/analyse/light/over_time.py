@@ -20,7 +20,13 @@ import numpy as np
 from numpy import ndarray
 
 from arfx.analyse.light.fit import LightFit, doubted, fit
-from arfx.analyse.light.hypotheses import LIKELY, NO_CONE_DEG, REFUSED, Params
+from arfx.analyse.light.hypotheses import (
+    LIKELY,
+    LIMIT_DEG,
+    NO_CONE_DEG,
+    REFUSED,
+    Params,
+)
 from arfx.analyse.light.sphere import DEG_4, nearest_cell
 from arfx.core.light import harmonics
 from arfx.core.numerics import angle_between, divide
@@ -99,13 +105,12 @@ class _Observations:
         where frames show several normals, lights that do not explain it are none."""
         if not found.claimed:
             return found
-        limit_deg = self.params.limit_deg
         apart = (
             np.mean(_mean_lengths(self.times_s, self.normals) < _SOMEWHAT_APART) > 0.5
         )
         if apart and found.model_error > _GOOD_ERROR:
             return _refused(found, "prints beside each other do not show one light")
-        agree_deg = limit_deg if apart else min(limit_deg, _AGREE_DEG)
+        agree_deg = LIMIT_DEG if apart else _AGREE_DEG
         first, off = found.lights[0], 0.0
         early = self.times_s <= np.median(self.times_s)
         for half in (early, ~early):
@@ -116,7 +121,7 @@ class _Observations:
         if off <= agree_deg:
             first = replace(first, confidence_deg=max(first.confidence_deg, off))
             return replace(found, lights=(first, *found.lights[1:]))
-        if off > (limit_deg if likely else agree_deg):
+        if off > (LIMIT_DEG if likely else agree_deg):
             why = (
                 "the light or the exposure changes, and no two parts of the clip agree on a"
                 " direction"

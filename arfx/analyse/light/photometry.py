@@ -50,8 +50,6 @@ class Channel(NamedTuple):
     y: ndarray
     var_y_own: ndarray
     seen: ndarray
-    rank: int
-    unknowns: int
     condition: float
     why: str = ""
     bias: float = 0.0
@@ -70,9 +68,8 @@ class Photometry:
     bring it below 0
     var_y_own : (t, 3) its variance without that of the bias, whose error is shared by all frames
     seen : (t,) False where nothing was usable (y 0, variance UNKNOWN_VARIANCE)
-    rank, unknowns : (3,) of the linear system;  condition : (3,) of its columns scaled to
-    length 1, at most 1e12;  why : (3,) a channel's bias is
-    assumed
+    condition : (3,) of the linear system, its columns scaled to length 1, at most 1e12
+    why : (3,) a channel's bias is assumed
     bias : (3,);  bias_95 : (3, 2) interval, the
     tolerances included
     misfit : (3,) residuals in units of their stated deviations
@@ -81,8 +78,6 @@ class Photometry:
     y: ndarray
     var_y_own: ndarray
     seen: ndarray
-    rank: ndarray
-    unknowns: ndarray
     condition: ndarray
     why: ndarray
     bias: ndarray
@@ -148,7 +143,7 @@ def solve(
     bias = np.array([p.bias for p in parts])
     if most_bias is not None and (bias > most_bias).any():
         parts = [  # then no channel's is the camera's
-            bright_patches(*c, TOO_BRIGHT, p.rank, p.condition)
+            bright_patches(*c, TOO_BRIGHT, p.condition)
             for c, p in zip(channels, parts, strict=True)
         ]
     return assemble(parts)
@@ -183,7 +178,6 @@ def bright_patches(
     w: ndarray,
     rho: ndarray,
     why: str,
-    rank: int,
     condition: float = MOST_CONDITION,
 ) -> Channel:
     """Bias 0 assumed; light from the brightest albedo's patches, of a frame's others where
@@ -195,7 +189,7 @@ def bright_patches(
     information = (take * rho * rho).sum(1)
     y = divide((take * rho * grey).sum(1), information)
     own = divide(1.0, information, where_zero=UNKNOWN_VARIANCE)
-    return Channel(y, own, seen, rank, int(seen.sum()) + 1, condition, why)
+    return Channel(y, own, seen, condition, why)
 
 
 def _solve_channel(
@@ -214,10 +208,10 @@ def _solve_channel(
     """
     usable = w0 > 0
     seen = np.asarray(usable.any(1))
-    count, unknowns = int(usable.sum()), int(seen.sum()) + 1
-    spare = count - unknowns
+    count = int(usable.sum())
+    spare = count - int(seen.sum()) - 1
     if not count:
-        return bright_patches(grey, w0, rho, UNUSABLE, 0)
+        return bright_patches(grey, w0, rho, UNUSABLE)
     w = w0
     for i in range(_PASSES):
         inverse = divide(1.0, (w * rho * rho).sum(1))
@@ -226,7 +220,7 @@ def _solve_channel(
         fraction = remaining / max(float(w.sum()), 1e-300)
         if fraction < LEAST_FRACTION:
             why = "all usable patches have one albedo"
-            return bright_patches(grey, w0, rho, why, unknowns - 1)
+            return bright_patches(grey, w0, rho, why)
         b = float((w * of_bias * grey).sum()) / remaining
         y = (w * rho * (grey - b)).sum(1) * inverse
         residual = grey - rho * y[:, None] - b
@@ -253,10 +247,10 @@ def _solve_channel(
             f"no light, or albedos too alike: the bias would be uncertain by {half:.2g} at a"
             f" level of {max(level, 0):.2g}"
         )
-        return bright_patches(grey, w0, rho, why, unknowns, condition)
+        return bright_patches(grey, w0, rho, why, condition)
     if np.median(y[seen]) * np.abs(rho).max() < LEAST_CONTRAST * level:
         why = "bright and dark cells look alike, or dark ones are brighter"
-        return bright_patches(grey, w0, rho, why, unknowns, condition)
+        return bright_patches(grey, w0, rho, why, condition)
     dark = rho < (rho.min(1, keepdims=True) + rho.max(1, keepdims=True)) / 2
     ink_level = max(float(np.median(grey[dark & usable])), 0.0031)
     # of sRGB, of which all curves are near enough
@@ -280,8 +274,6 @@ def _solve_channel(
         np.where(seen, y - (w * rho).sum(1) * inverse * glare, 0.0),
         np.where(seen, scale**2 * inverse, UNKNOWN_VARIANCE),
         seen,
-        unknowns,
-        unknowns,
         condition,
         "",
         b,

@@ -303,7 +303,7 @@ def _told(verdict: str, reason: str, light: Light) -> dict[str, Any]:
 def used_spans(spans: Sequence[Span]) -> ndarray:
     """(s,) int: which span's light is used in each, -1 = soft light.
 
-    One that is refused takes what those around it agree on.
+    One that is refused takes the one before it, where the one after it agrees.
     """
     known = [i for i, s in enumerate(spans) if s.fit.claimed]
     out = np.full(len(spans), -1)
@@ -316,9 +316,7 @@ def used_spans(spans: Sequence[Span]) -> ndarray:
             and angle_between(first[0].direction, second[0].direction)
             < np.radians(ALIKE_DEG)
         ):
-            middle = (spans[before].stop_s + spans[after].start_s) / 2
-            for i in range(before + 1, after):
-                out[i] = before if spans[i].stop_s <= middle else after
+            out[before + 1 : after] = before
     return out
 
 

@@ -226,11 +226,7 @@ def test_degenerate_systems_are_reported_and_nothing_non_finite_leaves(
     if case == "one albedo":  # the light comes from the bright patches alone
         assert np.abs(p.y - (y + 0.02 / PAPER)).max() < 0.01
         if formula == "corrected":
-            assert (
-                "one albedo" in p.reason
-                and (p.rank == p.unknowns - 1).all()
-                and (p.condition >= 1e12).all()
-            )
+            assert "one albedo" in p.reason and (p.condition >= 1e12).all()
 
 
 @pytest.mark.parametrize("difference", [1e-3, 1e-4, 0.0])
