@@ -128,20 +128,6 @@ class Frame:
             coded[...] = into
         return out
 
-    def linear_at(self, pixels: ndarray) -> ndarray:
-        """(n, 3) float32: `linear` of single upright pixels (n, 2) int, x and y.
-
-        Raises RenderError if one leaves the picture.
-        """
-        if not len(pixels):
-            return np.zeros((0, 3), np.float32)
-        (x0, y0), (x1, y1) = pixels.min(0).tolist(), pixels.max(0).tolist()
-        return np.ascontiguousarray(
-            self.linear(Rect(x0, y0, x1 + 1, y1 + 1))[
-                pixels[:, 1] - y0, pixels[:, 0] - x0
-            ]
-        )
-
     def edited(self, rect: Rect, before: ndarray, after: ndarray) -> Frame:
         """A new frame whose stored samples differ by convert(after) - convert(before)
         inside `rect`.

@@ -96,9 +96,6 @@ class Shown:
     def linear(self, rect: Rect) -> np.ndarray:
         return self._linear[rect.slices]
 
-    def linear_at(self, pixels: np.ndarray) -> np.ndarray:
-        return self._linear[pixels[:, 1], pixels[:, 0]]
-
     def reduced(self, width: int) -> np.ndarray:
         return cv2.resize(
             self._linear, (width, width * 9 // 16), interpolation=cv2.INTER_AREA

@@ -170,8 +170,7 @@ def fit(
     variance : (k, 3), of noise alone
     (an error that all share, as the bias has, is ambient light here);  group : (k,) int:
     directions are shared by all
-    groups, amplitudes are each group's own. What is not finite is left out.
-    Nothing non-finite leaves.
+    groups, amplitudes are each group's own. All finite.
     """
     s = gather(normals, irradiance, variance, group, MODEL_ERROR)
     if s is None:

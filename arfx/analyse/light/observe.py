@@ -10,7 +10,7 @@ import numpy as np
 from numpy import ndarray
 
 from arfx.analyse.even_frames import EvenFrames
-from arfx.analyse.job import Analysis, AnalysisFrame, AnalysisJob, Picture
+from arfx.analyse.job import Analysis, AnalysisFrame, AnalysisJob
 from arfx.analyse.light import patches
 from arfx.analyse.light.brightness import background_change, small_luma
 from arfx.analyse.light.frames import Reading
@@ -23,7 +23,6 @@ from arfx.core.marker import MarkerSpec
 from arfx.core.rect import Rect
 from arfx.core.stage import Check
 
-DARK_ACROSS = 64  # pixels of a row, about, of which the darkest are taken
 SURROUNDINGS_S = 0.5  # between two small pictures of the surroundings, at least
 MOST_SNAPSHOTS = 240  # of a clip, about
 SHARP_PX = 0.7  # blur assumed where it could not be measured
@@ -82,17 +81,6 @@ class LightReader:
             self.readings.append(Reading(frame.index, s.key, cells))
 
 
-def darkest(picture: Picture) -> ndarray:
-    """(3,) linear light of a picture's darkest hundredth, channel by channel."""
-    rect = picture.rect
-    apart = max(1, rect.width // DARK_ACROSS)
-    x, y = np.meshgrid(
-        np.arange(rect.x0, rect.x1, apart), np.arange(rect.y0, rect.y1, apart)
-    )
-    pixels = np.stack([x.ravel(), y.ravel()], -1).astype(np.int32)
-    return np.percentile(picture.linear_at(pixels), 1, axis=0).astype(float)
-
-
 class SnapshotTaker:
     """Keeps small pictures, in linear light. frames : of the clip, about"""
 
@@ -108,8 +96,7 @@ class SnapshotTaker:
             return
         small = picture.reduced(SNAPSHOT_PX)
         if min(small.shape[:2]) >= 3:
-            row = Snapshot(frame.index, small.astype(np.float16), darkest(picture))
-            self.snapshots.append(row)
+            self.snapshots.append(Snapshot(frame.index, small.astype(np.float16)))
 
 
 def environment_samples(
@@ -117,14 +104,14 @@ def environment_samples(
 ) -> list[EnvironmentSample]:
     """What small pictures show of the surroundings of the object's place."""
     out = []
-    for k, small, dark in snapshots:
+    for k, small in snapshots:
         pose = clip.facts[k].camera_from_world
         if pose is None:
             continue
         quad = camera.project(pose.apply(clip.anchor.corners_m))
         if np.isfinite(quad).all():
             picture = small.astype(np.float32)
-            out.append(environment_sample(k, picture, quad, camera.width, dark))
+            out.append(environment_sample(k, picture, quad, camera.width))
     return out
 
 

@@ -76,21 +76,21 @@ def gather(
     group: ndarray | int,
     model_error: float,
 ) -> Samples | None:
-    """None where nothing is usable. normals (k, 3), irradiance (k, 3), variance (k, 3), group
-    (k,) int, or what broadcasts.
+    """None where nothing is known. normals (k, 3) unit, irradiance (k, 3), variance (k, 3),
+    group (k,) int, or what broadcasts: all finite.
 
     model_error : systematic error of the irradiance relative to its bright level. It is one
     and the same within a coarse
     cell of normals, so that more observations there add nothing beyond it.
     """
-    n, E = (np.asarray(a, float).reshape(-1, 3) for a in (normals, irradiance))
-    v, g = np.broadcast_to(variance, E.shape), np.broadcast_to(group, len(n))
-    fine = np.isfinite(n).all(1) & np.isfinite(E).all(1) & np.isfinite(v).all(1)
-    length = np.linalg.norm(np.where(fine[:, None], n, 0), axis=1)
-    fine &= (length > 0.5) & ((v >= 0) & (v < _UNUSABLE)).all(1)
-    if not fine.any():
+    v, g = (
+        np.broadcast_to(variance, irradiance.shape),
+        np.broadcast_to(group, len(normals)),
+    )
+    known = (v < _UNUSABLE).all(1)
+    if not known.any():
         return None
-    n, E, v, g = n[fine] / length[fine, None], E[fine], v[fine], g[fine]
+    n, E, v, g = normals[known], irradiance[known], v[known], g[known]
     scale = np.percentile(E, 90, axis=0)
     scale = np.maximum(scale, max(1e-3 * float(scale.max()), 1e-12))
     E, v = E / scale, (v / scale**2).mean(1)

@@ -76,12 +76,10 @@ LAMP = (0.75, 0.95)  # linear light from which they are partly and wholly
 
 
 class Snapshot(NamedTuple):
-    """A small picture of one frame. picture : (h, w, 3) float16 or float32, linear
-    darkest : (3,) linear light of the frame's darkest hundredth"""
+    """A small picture of one frame. picture : (h, w, 3) float16 or float32, linear"""
 
     frame: int
     picture: ndarray
-    darkest: ndarray
 
 
 Seen = tuple[

@@ -41,6 +41,7 @@ LIES = 0.7  # cosine of the plane's normal to the picture's up from which the pl
 # against rough light, per square of its degree: a residual of .2 % of the light is left to
 # noise
 RIDGE = 2e-3
+DARKEST = 0.5  # per cent of a small picture, as dark as the frame's darkest hundredth
 AROUND = 1.7  # times the marker's size: where the plane beside it is looked at
 OUTSTANDING = (
     6.0  # times the panorama's mean radiance from which a pixel belongs to a lamp
@@ -141,7 +142,7 @@ class EnvironmentSample:
     """One frame's surroundings. frame : its number;  cube : (6, n, n, 3) radiance, CAMERA
     axes (`cube_from_picture`)
     plane : (3,) radiance beside the marker, as seen
-    darkest : (3,) linear light of the picture's darkest hundredth"""
+    darkest : (3,) linear light of the darkest pixels"""
 
     frame: int
     cube: ndarray
@@ -154,11 +155,9 @@ def environment_sample(
     picture: ndarray,
     quad: ndarray,
     width: int,
-    darkest: ndarray,
 ) -> EnvironmentSample:
     """picture : (h, w, 3) linear, at least 3 x 3, of the whole frame, made smaller;  quad :
-    (4, 2) a marker's corners in the frame's pixels;  width : of the frame;  darkest : of
-    EnvironmentSample
+    (4, 2) a marker's corners in the frame's pixels;  width : of the frame
     """
     quad = (quad + 0.5) * (picture.shape[1] / width) - 0.5
     middle = quad.mean(0)
@@ -179,7 +178,7 @@ def environment_sample(
         frame,
         cube_from_picture(small, FACE_PX),
         np.clip(np.median(beside, 0), 0, None),
-        darkest,
+        np.percentile(picture, DARKEST, axis=(0, 1)),
     )
 
 

@@ -14,6 +14,7 @@ from arfx.analyse.light.over_time import (
     WINDOWS,
     fit_over_time,
 )
+from arfx.analyse.light.photometry import UNKNOWN_VARIANCE
 from arfx.core.numerics import angle_between, normalise
 from arfx.papers.s1_light import eq9_lights, hemisphere
 
@@ -153,14 +154,14 @@ def test_even_and_black_light_are_refused() -> None:
         assert found.verdict == REFUSED and finite(found)
 
 
-def test_what_is_not_finite_is_left_out_and_counted() -> None:
+def test_readings_of_which_nothing_is_known_are_left_out() -> None:
     n, d = cap(70), at(-50, 45)
-    light, normals = seen(n, (d, 1.0)), n.copy()
-    light[3, 1], light[4, 0], normals[5, 2] = np.nan, np.inf, np.nan
-    found = fit(normals, light, params=EXACT)
+    light, variance = seen(n, (d, 1.0)), np.zeros(n.shape)
+    light[3:5], variance[3:5] = 9.0, UNKNOWN_VARIANCE
+    found = fit(n, light, variance, params=EXACT)
     assert found.verdict == MEASURED
     assert np.degrees(angle_between(found.lights[0].direction, d)) < 0.5
-    nothing = fit(np.full((4, 3), np.nan), np.ones((4, 3)))
+    nothing = fit(n, light, UNKNOWN_VARIANCE)
     assert nothing.verdict == REFUSED and finite(nothing)
 
 

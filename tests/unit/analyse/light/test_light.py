@@ -401,9 +401,6 @@ def test_the_meter_reads_every_frame_and_looks_around_now_and_then() -> None:
             y, x = np.mgrid[rect.y0 : rect.y1, rect.x0 : rect.x1]
             return np.repeat(((x + y) / 120).astype(np.float32)[..., None], 3, -1)
 
-        def linear_at(self, pixels: np.ndarray) -> np.ndarray:
-            return self.linear(self.rect)[pixels[:, 1], pixels[:, 0]]
-
         def reduced(self, width: int) -> np.ndarray:
             return self.linear(self.rect)
 

@@ -124,9 +124,6 @@ class Picture:
     def linear(self, rect: Rect) -> np.ndarray:
         return self.pixels[rect.slices]
 
-    def linear_at(self, pixels: np.ndarray) -> np.ndarray:
-        return self.pixels[pixels[:, 1], pixels[:, 0]]
-
     def reduced(self, width: int) -> np.ndarray:
         return np.ascontiguousarray(self.pixels[::4, ::4])
 

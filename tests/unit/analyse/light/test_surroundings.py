@@ -108,7 +108,7 @@ def test_the_papers_fold_has_a_seam_and_the_corrected_one_none() -> None:
     assert largest_step(cube_from_picture(picture, 12)) < 0.16
     assert np.abs(cube_from_picture(GREY) - [0.2, 0.4, 0.6]).max() < 1e-6
     quad = np.array([[100.0, 80], [140, 80], [140, 120], [100, 120]])
-    kept = environment_sample(0, picture, quad, 240, np.zeros(3)).cube
+    kept = environment_sample(0, picture, quad, 240).cube
     assert largest_step(kept) < 0.3 and kept.shape == (6, 6, 6, 3)
 
 
