@@ -24,7 +24,7 @@ from arfx.analyse.light.hypotheses import (
     Explanations,
     Params,
 )
-from arfx.analyse.light.model import DOME, Lights, refine, solve
+from arfx.analyse.light.model import DOME, refine, solve
 from arfx.analyse.light.search import gather
 from arfx.core.light import DirectionalLight, Light, harmonics, triple
 from arfx.core.numerics import arccos, normalise
@@ -272,12 +272,11 @@ def _size_deg(found: Explanations, domes: ndarray) -> float:
     model = found.best[found.count]
     n = len(_SIZES_DEG)
     soft = np.where(domes, model.soft, np.sin(np.radians(_SIZES_DEG))[:, None])
-    tried = Lights(np.repeat(model.dirs, n, 0), soft, np.repeat(model.mix, n, 0))
+    tried = replace(model[np.zeros(n, int)], soft=soft)
     chi2 = refine(found.groups, tried, passes=6)[1]
     bound = found.bound()
-    inside, best = (
-        np.flatnonzero(chi2 <= max(bound, chi2.min())),
-        2 * float(_SIZES_DEG[chi2.argmin()]),
-    )
-    most = 2 * float(_SIZES_DEG[min(inside[-1] + 1, len(chi2) - 1)])
-    return min(DEFAULT_SIZE_DEG, most) if inside[0] == 0 else best
+    inside = np.flatnonzero(chi2 <= max(bound, chi2.min()))
+    if inside[0] > 0:
+        return 2 * float(_SIZES_DEG[chi2.argmin()])
+    most = 2 * float(_SIZES_DEG[min(inside[-1] + 1, n - 1)])
+    return min(DEFAULT_SIZE_DEG, most)

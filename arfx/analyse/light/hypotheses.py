@@ -110,7 +110,7 @@ class Explanations:
     ) -> None:
         """start : of the same observations under other weights; its minima are followed"""
         self.params = params
-        most = max(0, min(params.most_lights, 2))
+        most = params.most_lights
         every = s.groups(params.gamma_sigma)
         some = np.linspace(0, len(every) - 1, min(len(every), MOST_GROUPS)).round()
         self.samples, self.groups = s, [every[int(i)] for i in some]

@@ -137,14 +137,6 @@ def light_checks(summary: Mapping[str, Any]) -> Iterator[Check]:
         known,
         light["reason"],
     )
-    if light["normals_seen"]:
-        yield Check(
-            "light fit condition number",
-            light["condition"],
-            1e3,
-            known,
-            "no direction claimed",
-        )
     yield Check(
         "clipped share of the markers",
         light["clipped_fraction"],

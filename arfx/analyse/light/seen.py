@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -37,6 +36,7 @@ from arfx.analyse.light.surroundings import (
 from arfx.core.camera import Camera
 from arfx.core.cube import CubeMap, SeenEnvironment, face_directions, resampled
 from arfx.core.facts import FrameFacts
+from arfx.core.light import Light
 from arfx.core.numerics import divide, smoothstep
 
 FACE_PX = 64  # of a map
@@ -103,7 +103,7 @@ def with_seen(
         f = facts[snapshot.frame]
         if f.camera_from_world is not None and f.light is not None:
             by_shot.setdefault(f.shot, []).append(
-                _Posed.of(snapshot, f, camera, still_camera, centre_m)
+                _Posed(snapshot, f, f.light, camera, still_camera, centre_m)
             )
     maps: dict[str, ndarray] = {}
     keys: dict[int, tuple[ndarray, list[str]]] = {}
@@ -164,48 +164,34 @@ def _named(rgba: ndarray, maps: dict[str, ndarray]) -> str:
     return name
 
 
-@dataclass(frozen=True, eq=False)
 class _Posed:
-    """A snapshot in the axes at rest. camera_from_static : rotation (3, 3);  centre_m : the
-    anchor, camera axes
+    """A snapshot in the axes at rest.
+
+    camera_from_static : rotation (3, 3);  centre_m : the anchor, camera axes
     picture : (h, w, 3) float32, without the camera's bias, over `level` (3,);  lamps : (n,
     3) directions, axes at rest
     """
 
-    time_s: float
-    picture: ndarray
-    level: ndarray
-    camera: Camera
-    camera_from_static: ndarray
-    centre_m: ndarray
-    lamps: ndarray
-
-    @staticmethod
-    def of(
+    def __init__(
+        self,
         snapshot: Snapshot,
         f: FrameFacts,
+        light: Light,
         camera: Camera,
         still_camera: bool,
         centre_m: ndarray,
-    ) -> _Posed:
-        pose, light = f.pose, f.light
-        assert light is not None
-        static, rotation = np.eye(3), pose.rotation
+    ) -> None:
+        """centre_m : the anchor, WORLD"""
+        self.time_s, self.camera, self.level = f.time_s, camera, light.mean_radiance
+        self.centre_m = f.pose.apply(centre_m)
+        static, self.camera_from_static = np.eye(3), f.pose.rotation
         if still_camera:
-            static, rotation = rotation, static
-        level = light.mean_radiance
-        shown = np.clip(
-            snapshot.picture.astype(np.float32) - np.array(f.bias_rgb), 0, None
-        )
-        return _Posed(
-            f.time_s,
-            divide(shown, level).astype(np.float32),
-            level,
-            camera,
-            rotation,
-            pose.apply(centre_m),
-            np.reshape([static @ li.unit for li in light.lights], (-1, 3)),
-        )
+            static, self.camera_from_static = self.camera_from_static, static
+        lamps = [static @ li.unit for li in light.lights]
+        self.lamps = np.reshape(lamps, (-1, 3))
+        shown = snapshot.picture.astype(np.float32) - np.array(f.bias_rgb)
+        shares = divide(np.clip(shown, 0, None), self.level)
+        self.picture = shares.astype(np.float32)
 
     def seen(
         self, directions: ndarray, inverse_radius: float
