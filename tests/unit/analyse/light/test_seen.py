@@ -152,9 +152,10 @@ def test_the_rooms_distance_is_where_the_pictures_agree(
     name: str, radius_m: float
 ) -> None:
     clip = CLIPS[name]
+    lit = [(look, clip.facts[look.frame]) for look in clip.looks]
     posed = [
-        seen._Posed.of(look, clip.facts[look.frame], CAMERA, False, np.zeros(3))
-        for look in clip.looks
+        seen._Posed(look, f, f.light or Light(), CAMERA, False, np.zeros(3))
+        for look, f in lit
     ]
     assert seen._inverse_radius(posed, UP) == pytest.approx(1 / radius_m, rel=0.35)
 
