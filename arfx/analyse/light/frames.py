@@ -114,16 +114,15 @@ def with_light(
     intensity, _, clipped, _ = seen
     darkest = np.min([s.darkest for s in samples], axis=0) if samples else None
     photometry = solve(*seen, darkest, print_)
-    used = photometry.seen
     readings = Readings(
-        np.array([row.frame for row, _ in rows], int)[used],
-        np.reshape([normal for _, normal in rows], (-1, 3))[used],
-        print_[used],
-        (keys == analysis.anchor.key)[used],
-        photometry.y[used],
-        photometry.var_y_own[used],
-        even[used],
-    )
+        np.array([row.frame for row, _ in rows], int),
+        np.reshape([normal for _, normal in rows], (-1, 3)),
+        print_,
+        keys == analysis.anchor.key,
+        photometry.y,
+        photometry.var_y_own,
+        even,
+    )[photometry.seen]
     given = _given(params, panorama)
     out: dict[int, Light] = {}
     reports: list[tuple[int, dict[str, Any]]] = []
