@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from arfx.analyse.light.model import Group
 from arfx.analyse.light.sphere import DEG_4, DEG_16, nearest_cell
-from arfx.core.numerics import condition, divide
+from arfx.core.numerics import condition, divide, normalise
 
 # apart: what is averaged, and what shares one systematic error
 FINE, COARSE = DEG_4, DEG_16
@@ -76,7 +76,7 @@ def gather(
     group: ndarray | int,
     model_error: float,
 ) -> Samples | None:
-    """None where nothing is known. normals (k, 3) unit, irradiance (k, 3), variance (k, 3),
+    """None where nothing is known. normals (k, 3), irradiance (k, 3), variance (k, 3),
     group (k,) int, or what broadcasts: all finite.
 
     model_error : systematic error of the irradiance relative to its bright level. It is one
@@ -90,7 +90,7 @@ def gather(
     known = (v < _UNUSABLE).all(1)
     if not known.any():
         return None
-    n, E, v, g = normals[known], irradiance[known], v[known], g[known]
+    n, E, v, g = normalise(normals[known]), irradiance[known], v[known], g[known]
     scale = np.percentile(E, 90, axis=0)
     scale = np.maximum(scale, max(1e-3 * float(scale.max()), 1e-12))
     E, v = E / scale, (v / scale**2).mean(1)
