@@ -165,14 +165,17 @@ def fit(
     variance: ndarray | float = 0.0,
     group: ndarray | int = 0,
     params: Params = Params(),  # noqa: B008 - frozen
+    lit: ndarray | None = None,
 ) -> LightFit:
     """normals : (k, 3) in the frame that the lights are fixed in;  irradiance : (k, 3);
     variance : (k, 3), of noise alone
     (an error that all share, as the bias has, is ambient light here);  group : (k,) int:
     directions are shared by all
     groups, amplitudes are each group's own. All finite.
+    lit : (g,) by the number of the group, share of the lamps that is on: then amplitudes
+    are shared by all groups too
     """
-    s = gather(normals, irradiance, variance, group, MODEL_ERROR)
+    s = gather(normals, irradiance, variance, group, MODEL_ERROR, lit)
     if s is None:
         none = np.zeros((1, 3))
         return LightFit(REFUSED, "no usable observation", none, none)
@@ -203,7 +206,7 @@ def fit(
         error = max(error, 1e-4) * float(np.sqrt(misfit))
         if error > MOST_ERROR:
             break
-        s = gather(normals, irradiance, variance, group, error) or s
+        s = gather(normals, irradiance, variance, group, error, lit) or s
         found = Explanations(s, params, found)
     if error > MOST_ERROR:
         return refused(

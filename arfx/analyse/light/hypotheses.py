@@ -148,7 +148,7 @@ class Explanations:
         size = solve(self.groups, lights).amplitudes.sum(2)  # (n, g, m + 1)
         seen = np.zeros((len(lights), size.shape[2]))
         for number, group in enumerate(self.groups):
-            column = lights.mix @ lights.columns(group.normals)[0]
+            column = lights.mix @ lights.columns(group)[0]
             every = np.insert(column, 0, 1, 1) @ group.root**2
             seen += size[:, number] * every
         share = divide(seen, seen.sum(1, keepdims=True))[:, None, 1:]

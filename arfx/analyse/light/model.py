@@ -30,13 +30,14 @@ _STUCK = 10.0  # damping from which on a minimum counts as found
 class Group(NamedTuple):
     """Samples that share amplitudes, times the root of their weight.
 
-    normals : (k, 3);  root : (k,)
+    normals : (k, 3);  root : (k,);  lit : (k,) share of the lamps that is on
     value : (3, k) by channel
     bend : (3, k) what a logarithm of the exponent of 1 adds to value
     bend_weight : (3,) inverse of (1 / its variance + bend.bend): 0 where the exponent is 1"""
 
     normals: ndarray
     root: ndarray
+    lit: ndarray
     value: ndarray
     bend: ndarray
     bend_weight: ndarray
@@ -66,12 +67,16 @@ class Lights:
     def __len__(self) -> int:
         return len(self.dirs)
 
-    def columns(self, normals: ndarray) -> tuple[ndarray, ndarray]:
+    def columns(self, group: Group) -> tuple[ndarray, ndarray]:
         """What each direction gives k normals, and its slope by n.d, both (n, q, k)."""
-        c, soft = self.dirs @ normals.T, np.maximum(self.soft, _POINT)[..., None]
+        c, soft = (
+            self.dirs @ group.normals.T,
+            np.maximum(self.soft, _POINT)[..., None],
+        )
         low, full = np.maximum(c + soft, 0), c >= soft
         shade, slope = np.where(full, c, low**2 / (4 * soft)), low / (2 * soft)
-        return shade, np.where(full, 1, slope)
+        on = np.where(soft < DOME, group.lit, 1.0)
+        return on * shade, on * np.where(full, 1, slope)
 
 
 def each(dirs: ndarray, soft: ndarray | float = 0.0) -> Lights:
@@ -138,7 +143,7 @@ def solve(groups: Sequence[Group], lights: Lights, held: int = _ALL) -> Solution
     amplitudes, p = np.empty((n, len(groups), 3, m)), 2 * across.shape[1]
     gradient, curvature = np.zeros((n, p)), np.zeros((n, p, p))
     for number, group in enumerate(groups):
-        shade, slope = lights.columns(group.normals)
+        shade, slope = lights.columns(group)
         turned = slope[:, held:, None] * (across @ group.normals.T)
         rows = np.concatenate(
             [

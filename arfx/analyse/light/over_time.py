@@ -1,8 +1,8 @@
 """Lights that change: the simplest account of a whole clip that holds.
 
 1. constant: one fit for all;
-2. segments: the directions of the clip, colours and brightness of their own between one step
-   of the light and the next;
+2. switched: the lamps are all on or all off between one step of the light and the next; or
+   segments: the directions of the clip, colours and brightness of their own in between;
 3. shared: the same, with a factor for every frame where frames show several normals, else in
    windows of a few seconds;
 4. windows: a fit for each segment that holds alone, or for each window.
@@ -23,6 +23,7 @@ from arfx.analyse.light.fit import LightFit, doubted, fit
 from arfx.analyse.light.hypotheses import (
     LIKELY,
     LIMIT_DEG,
+    MEASURED,
     NO_CONE_DEG,
     REFUSED,
     Params,
@@ -31,7 +32,13 @@ from arfx.analyse.light.sphere import DEG_4, nearest_cell
 from arfx.core.light import harmonics
 from arfx.core.numerics import angle_between, divide
 
-CONSTANT, SEGMENTS, SHARED, WINDOWS = "constant", "segments", "shared", "windows"
+CONSTANT, SWITCHED, SEGMENTS, SHARED, WINDOWS = (
+    "constant",
+    "switched",
+    "segments",
+    "shared",
+    "windows",
+)
 # between the halves of a clip whose brightness wanders while one normal is seen at a time
 _AGREE_DEG = 3.0
 _GOOD_ERROR = 0.006  # model error up to which an account holds
@@ -87,9 +94,9 @@ class _Observations:
         sizes = np.diff([*starts, len(self.times_s)])
         return replace(self, group=np.repeat(np.arange(len(sizes)), sizes))
 
-    def fit(self, lights: int = 2) -> LightFit:
+    def fit(self, lights: int = 2, lit: ndarray | None = None) -> LightFit:
         few = replace(self.params, most_lights=min(self.params.most_lights, lights))
-        return fit(self.normals, self.irradiance, self.variance, self.group, few)
+        return fit(self.normals, self.irradiance, self.variance, self.group, few, lit)
 
     def steady(self, found: LightFit) -> bool:
         if found.model_error > _GOOD_ERROR:
@@ -150,8 +157,8 @@ def fit_over_time(
     breaks_s: Sequence[float] = (),
     params: Params = Params(),  # noqa: B008 - frozen
 ) -> tuple[str, list[Span]]:
-    """(CONSTANT, SEGMENTS, SHARED or WINDOWS, spans in order, without gaps, from the first to
-    the last observation).
+    """(CONSTANT, SWITCHED, SEGMENTS, SHARED or WINDOWS, spans in order, without gaps, from
+    the first to the last observation).
 
     times_s : (k,) of each observation, one at least, any order;  normals, irradiance,
     variance : (k, 3) as in fit.fit, finite
@@ -164,10 +171,14 @@ def fit_over_time(
     constant = refusal = seen.fit()
     if seen.steady(constant):
         return CONSTANT, seen.spans([(0, constant, 0)])
-    segments, shared = window_starts(seen.times_s, breaks_s), None
+    segments = window_starts(seen.times_s, breaks_s)
+    held = [_switched(seen, segments)]
+    sure = held[0] is not None and (
+        held[0][1].verdict == MEASURED or len(held[0][1].lights) == 1
+    )
     for name, longest_s in (SEGMENTS, np.inf), (SHARED, LONGEST_WINDOW_S):
         starts = window_starts(seen.times_s, breaks_s, longest_s)
-        if name == SEGMENTS and len(starts) < 2:
+        if sure or (name == SEGMENTS and len(starts) < 2):
             continue
         if name == SHARED and (pumped := _exposure_drift_fit(seen)) is not None:
             return SHARED, seen.spans([(0, pumped, 0)])
@@ -181,17 +192,22 @@ def fit_over_time(
             found = grouped.confirmed(found)
         if found.claimed:
             windows = [(start, found, group) for group, start in enumerate(starts)]
-            shared = name, seen.spans(windows)
-            if len(found.lights) == 1:
-                return shared
+            held.append((name, found, seen.spans(windows)))
             break
+    shared = min(
+        (h for h in held if h is not None),
+        key=lambda h: (h[1].verdict != MEASURED, len(h[1].lights)),
+        default=None,
+    )
+    if shared is not None and len(shared[1].lights) == 1:
+        return shared[0], shared[2]
     windows = []
     for start, piece in zip(segments, seen.pieces(segments), strict=True):
         found, large = piece.fit(), len(piece.times_s) >= _LEAST_PIECE
         holds = large and found.claimed and piece.steady(found)
         # one light of its own in each segment, or two for all: the former is simpler
         if shared is not None and large and not (holds and len(found.lights) == 1):
-            return shared
+            return shared[0], shared[2]
         if holds:
             windows.append((start, found, 0))
             continue
@@ -204,6 +220,41 @@ def fit_over_time(
     if not last.claimed and not refusal.claimed:
         last = replace(last, reason=refusal.reason)
     return CONSTANT, seen.spans([(0, last, 0)])
+
+
+def _switched(
+    seen: _Observations, segments: Sequence[int]
+) -> tuple[str, LightFit, list[Span]] | None:
+    """The account of lamps that are all on or all off, where that holds."""
+    if (lit := switches(seen.times_s, seen.irradiance, segments)) is None:
+        return None
+    grouped = seen.grouped(segments)
+    found = grouped.fit(lit=lit)
+    by_state = replace(grouped, group=lit[grouped.group].astype(int))
+    if not found.claimed or not by_state.steady(found):
+        return None
+    dark = replace(found, lights=tuple(li for li in found.lights if li.dome))
+    states = [
+        (a, found if on else dark, 0) for a, on in zip(segments, lit, strict=True)
+    ]
+    return SWITCHED, found, seen.spans(states)
+
+
+def switches(
+    times_s: ndarray, irradiance: ndarray, starts: Sequence[int]
+) -> ndarray | None:
+    """(g,) 1 where the lamps are on, 0 where off, in the segments that begin at these
+    observations; None where steps do not go down and up in turn.
+
+    What a step does is seen from the observations, times ascending, right before and after it."""
+    light, signs = irradiance.mean(1), []
+    for start in starts[1:]:
+        last = light[:start][times_s[:start] == times_s[start - 1]]
+        first = light[start:][times_s[start:] == times_s[start]]
+        signs.append(np.sign(first.mean() - last.mean()))
+    if not signs or not all(signs) or any(a == b for a, b in pairwise(signs)):
+        return None
+    return np.array([signs[0] < 0, *(s > 0 for s in signs)], float)
 
 
 def window_starts(

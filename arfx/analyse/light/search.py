@@ -28,6 +28,7 @@ class Samples:
     channels' bright levels
     weight : (k,) inverse variance;  starts : (g + 1,) rows of the groups;  effective :
     number of independent values
+    lit : (k,) share of the lamps that is on, 0..1
     """
 
     normals: ndarray
@@ -36,6 +37,7 @@ class Samples:
     starts: ndarray
     scale: ndarray
     effective: float
+    lit: ndarray
 
     def groups(self, gamma_sigma: float = 0.0) -> list[Group]:
         """gamma_sigma : standard deviation of the values' exponent's logarithm"""
@@ -51,6 +53,7 @@ class Samples:
                 Group(
                     self.normals[rows],
                     root[rows],
+                    self.lit[rows],
                     value * root[rows],
                     bend,
                     weight,
@@ -75,6 +78,7 @@ def gather(
     variance: ndarray | float,
     group: ndarray | int,
     model_error: float,
+    lit: ndarray | None = None,
 ) -> Samples | None:
     """None where nothing is known. normals (k, 3), irradiance (k, 3), variance (k, 3),
     group (k,) int, or what broadcasts: all finite.
@@ -82,6 +86,8 @@ def gather(
     model_error : systematic error of the irradiance relative to its bright level. It is one
     and the same within a coarse
     cell of normals, so that more observations there add nothing beyond it.
+    lit : (g,) share of the lamps that is on in each group; then all groups are one, with
+    the same light
     """
     v, g = (
         np.broadcast_to(variance, irradiance.shape),
@@ -110,8 +116,10 @@ def gather(
     many, floor = np.bincount(coarse)[coarse], model_error**2
     variance_of_mean = V + many * floor + _LEAST**2
     effective = 3 * float(((V + floor + 1e-300) / (V + many * floor + 1e-300)).sum())
-    starts = np.searchsorted(groups, np.arange(groups.max() + 2))
-    return Samples(N, X, 1 / variance_of_mean, starts, scale, effective)
+    starts, on = np.searchsorted(groups, np.arange(groups.max() + 2)), np.ones(len(N))
+    if lit is not None:
+        starts, on = np.array([0, len(N)]), lit[np.unique(g)[groups]]
+    return Samples(N, X, 1 / variance_of_mean, starts, scale, effective, on)
 
 
 def _mean(n: ndarray, E: ndarray, v: ndarray) -> tuple[ndarray, ndarray, float]:

@@ -19,6 +19,7 @@ from arfx.analyse.light.over_time import (
     CONSTANT,
     SEGMENTS,
     SHARED,
+    SWITCHED,
     WINDOWS,
     Span,
     fit_over_time,
@@ -45,6 +46,7 @@ MODEL_ERROR = 0.003
 LEAST_SEEN = 0.02
 _TEMPORAL_MODELS = {
     CONSTANT: "constant over the clip",
+    SWITCHED: "its lamps are switched",
     SEGMENTS: "constant between its steps",
     SHARED: "its direction rests, its brightness or the exposure changes",
     WINDOWS: "its direction changes",

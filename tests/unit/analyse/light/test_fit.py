@@ -11,8 +11,10 @@ from arfx.analyse.light.hypotheses import LIKELY, MEASURED, REFUSED, Params
 from arfx.analyse.light.over_time import (
     CONSTANT,
     SEGMENTS,
+    SWITCHED,
     WINDOWS,
     fit_over_time,
+    switches,
 )
 from arfx.analyse.light.photometry import UNKNOWN_VARIANCE
 from arfx.core.numerics import angle_between, normalise
@@ -228,12 +230,11 @@ def test_a_lamp_that_is_switched_keeps_its_direction_and_the_ambient_light() -> 
     on = np.ones(180)
     on[60:110] = 0
     account, spans, d = switched(on, np.ones(180))
-    assert account == SEGMENTS and len(spans) == 3
+    assert account == SWITCHED and len(spans) == 3
     assert [s.stop_s for s in spans[:-1]] == [s.start_s for s in spans[1:]]
-    assert not spans[1].fit.light(spans[1].group).lights
+    assert not spans[1].fit.lights and spans[1].fit.verdict == MEASURED
     for s in spans:
-        assert s.fit.claimed
-        assert s.fit.ambient_rgb[s.group] == pytest.approx(AMBIENT, rel=0.02)
+        assert s.fit.ambient_rgb[0] == pytest.approx(AMBIENT, rel=0.02)
         assert all(
             np.degrees(angle_between(li.direction, d)) < 1 for li in s.fit.lights
         )
@@ -248,6 +249,19 @@ def test_exposure_that_jumps_is_not_taken_for_a_lamp() -> None:
         0.4 * LAMP, rel=0.05
     )
     assert np.degrees(angle_between(spans[0].fit.lights[0].direction, d)) < 2
+
+
+def test_steps_that_do_not_go_down_and_up_in_turn_are_no_switch() -> None:
+    t, starts = np.arange(100) / 25, [0, 25, 50]
+    down = np.where(t < 1, 1.0, np.where(t < 2, 0.6, 0.3))[:, None] * np.ones(3)
+    assert switches(t, down, starts) is None and switches(t, down, [0]) is None
+    assert switches(
+        t, np.where(t[:, None] < 2, down, 1.0 - down), starts
+    ).tolist() == [
+        1,
+        0,
+        1,
+    ]  # type: ignore[union-attr]
 
 
 def test_a_lamp_that_swings_before_one_marker_is_refused() -> None:
@@ -438,7 +452,7 @@ def test_both_halves_of_a_print_turned_while_a_lamp_is_switched_are_claimed(
     light = 0.5 * np.repeat(E[:, None], 3, 1)
     found = steps(t, np.log(light)).tolist()
     account, spans = fit_over_time(t, n, light, np.full((72, 3), 2e-6), found)
-    assert account == SEGMENTS and len(spans) == 2
+    assert account == (SWITCHED if left == 0 else SEGMENTS) and len(spans) == 2
     assert spans[0].stop_s == pytest.approx(t[36]) and all(
         s.fit.verdict_of(s.group)[0] != REFUSED for s in spans
     )
@@ -449,7 +463,7 @@ def test_both_halves_of_a_print_turned_while_a_lamp_is_switched_are_claimed(
     for s in spans:
         for li in s.fit.lights:
             assert np.degrees(angle_between(li.direction, d)) < min(
-                8, li.confidence_deg
+                3, li.confidence_deg
             )
 
 
