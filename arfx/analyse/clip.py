@@ -2,8 +2,6 @@
 
 Cost: about .5 ms per frame. Source: docs/methods/."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any

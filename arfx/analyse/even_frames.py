@@ -1,7 +1,5 @@
 """Some of a clip's frames, evenly over all of them."""
 
-from __future__ import annotations
-
 import math
 
 

@@ -11,8 +11,6 @@ with the dioptre d of its distance, the focus dioptre f and k px a dioptre; what
 and the sensor blur in the focus, s0, adds in squares: s^2 = s0^2 + (k / 2)^2 (d - f)^2.
 That is a parabola in d: a linear problem, no pole at infinity."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import ClassVar, NamedTuple

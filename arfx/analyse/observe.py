@@ -4,8 +4,6 @@ A part is observed as if nothing lay before it. `clip.py` says what the rows of 
 Cost per 720p frame: .5 to 2 ms with a marker tracked, about 3 ms without one. Memory: some
 hundred bytes per frame and marker, no pixels but some small pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from typing import Any
 

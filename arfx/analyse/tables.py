@@ -4,8 +4,6 @@ The first field of a row is the number of its frame. Tables of parts of a clip a
 putting one behind the other, with these numbers counted on. Files hold plain arrays (numpy's
 npz), so that nothing in them names code to run."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import math

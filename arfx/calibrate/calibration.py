@@ -1,8 +1,6 @@
 """Pictures of a board in, a camera with its uncertainty and a verdict out; all of it as one
 JSON-able document, and as extras of the camera file."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace

@@ -2,8 +2,6 @@
 when pictures are wanted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

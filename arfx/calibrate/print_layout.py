@@ -3,8 +3,6 @@ and its file, true to scale.
 
 Page coordinates: x right, y down from the upper left corner."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from collections.abc import Sequence

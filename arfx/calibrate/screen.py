@@ -6,8 +6,6 @@ Rejection starts from the subset of views that agrees best with the most others 
 RANSAC), so that some views of another board or camera cannot drag the solution to
 themselves first."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple

@@ -14,8 +14,6 @@ Cost: 10 ms for 14 views of 54 corners, .1-.3 s for 40 views of 77; (models x fo
 that for the choice.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

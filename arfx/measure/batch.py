@@ -1,7 +1,5 @@
 """A batch as a whole: its jobs run, batch.json and a page that links their reports."""
 
-from __future__ import annotations
-
 import base64
 import os
 import re

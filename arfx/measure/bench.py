@@ -6,8 +6,6 @@ Stages and yardstick take turns,
 each with all cores, and medians are reported: a ratio survives a change of machine or of
 load, a time does not."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial

@@ -6,8 +6,6 @@ they take from each other is in the price. Coefficients by non-negative least sq
 relative errors (scipy nnls): more work never costs less.
 Cost: `arfx bench --calibrate` takes under a minute on a quiet machine."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import time

@@ -2,8 +2,6 @@
 machine has, joining chunks.
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import queue

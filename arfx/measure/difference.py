@@ -9,8 +9,6 @@ Cost: FLIP about 1.5 us of one core per pixel, SSIM and Delta E together as much
 touched pixels' box alone.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

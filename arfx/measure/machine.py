@@ -5,8 +5,6 @@ Every check is made, not looked up: a back end is opened, a codec encodes four f
 they are read back.
 Cost: about 1 s."""
 
-from __future__ import annotations
-
 import os
 import platform
 import shutil

@@ -1,7 +1,5 @@
 """Plots of the pages, and their style."""
 
-from __future__ import annotations
-
 import io
 import tomllib
 from pathlib import Path

@@ -1,8 +1,6 @@
 """The poses of a clip over time, as the curves that `parts.html` draws: SVG, since loading a
 plotting library takes longer than a short job."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -3,8 +3,6 @@ or from a job folder.
 
 Source of the fields: `arfx.run.summary`. Cost: the pictures dominate, about 30 ms a preview."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path

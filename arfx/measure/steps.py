@@ -5,8 +5,6 @@ A reference costs minutes over a whole picture, so that pictures are rendered in
 only: what a stage computes on a crop is what it computes on the whole (tests/contract, the
 ROI law)."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any

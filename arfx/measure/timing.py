@@ -1,7 +1,5 @@
 """Clocks, and what they told run by run."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor

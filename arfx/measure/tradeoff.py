@@ -9,8 +9,6 @@ Cost: the references; the window of the pictures is made so small that they take
 REFERENCE_S together.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType

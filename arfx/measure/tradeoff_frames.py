@@ -2,8 +2,6 @@
 how blurred the object is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Tables, plots, pictures side by side with their error maps times eight.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ Levels are run over all that the plan asks of them. A reference that would take 
 SLOW_S of a frame is not: the price list predicts it. Times are of the processor, all threads
 together, which other programs on the machine disturb least."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial

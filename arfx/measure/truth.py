@@ -4,8 +4,6 @@ cuts, marker map, light.
 All figures are for the world marker's pose in the camera, frame by frame; frames in which
 either side has none are left out."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What calibration files of all formats hold, as names and values; recognised by content."""
 
-from __future__ import annotations
-
 import contextlib
 import gzip
 import io

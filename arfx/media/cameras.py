@@ -8,8 +8,6 @@ Pixel centres: all of these put them at integers, except COLMAP, whose centres l
 (corrected here). Left out: lens models that OpenCV's polynomials cannot express
 (field-of-view, omnidirectional, division)."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os

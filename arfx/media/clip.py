@@ -2,8 +2,6 @@
 one frame to be sure.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import shlex

@@ -2,8 +2,6 @@
 here, and never anything they name; and what the supported codecs and containers can
 hold."""
 
-from __future__ import annotations
-
 import os
 import re
 import tomllib

@@ -7,8 +7,6 @@ their order, or by the time in their names as TUM RGB-D writes them (1305031102.
 seconds), or by the times of a video's frames. Any map of one file can be asked for, from
 any thread; one after the other is quick."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 import threading

@@ -5,8 +5,6 @@ Materials of a glTF file (glTF 2.0 section 3.9 and KHR_materials_*) as core.mode
 
 Unlit materials become emission, specular-glossiness becomes metallic-roughness."""
 
-from __future__ import annotations
-
 import base64
 from dataclasses import replace
 from typing import Any

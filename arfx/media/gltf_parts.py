@@ -1,8 +1,6 @@
 """What a glTF file shows: its nodes walked from the scene's roots, meshes as triangles (glTF 2.0
 sections 3.5, 3.7)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import cache, partial
 from typing import Any

@@ -2,8 +2,6 @@
 
 Sources: ITU-T H.273 (tags), SMPTE ST 2086 (mastering display), CTA-861.3 (content light)."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping
 from typing import Any

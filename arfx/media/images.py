@@ -6,8 +6,6 @@ samples are exact. From outside only formats are read that are listed here, reco
 their content, and of a bounded size. The size is read from the header before anything is
 decoded: a few kilobytes can state gigabytes."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import io

@@ -7,8 +7,6 @@ presentation times sorted into S, packet i is decoded at S[i] less the longest t
 frame waits: so decode times rise over chunk borders, and the lengths of samples that MP4
 and MOV take from them are those of the frames."""
 
-from __future__ import annotations
-
 import contextlib
 import heapq
 import math

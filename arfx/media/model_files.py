@@ -1,8 +1,6 @@
 """A model's file and those that it names: only from its own folder, of bounded size, every
 picture of a known kind."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

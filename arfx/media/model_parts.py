@@ -17,8 +17,6 @@ Source: Mikkelsen 2008, Simulation of Wrinkled Surfaces Revisited, chapter 2.
 Leaves out: a face that the picture covers with no area joins no group, its tangents lie anyhow
 across the normals (in MikkTSpace it takes after the neighbour that comes first)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

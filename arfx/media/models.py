@@ -4,8 +4,6 @@ glTF/GLB is read by gltf_parts.py; OBJ with MTL by obj_files.py; PLY, STL, OFF a
 trimesh. Errors say what is wrong with the file and how many vertices or faces it concerns; what was
 repaired is in `Model.notices`. Leaves out: skins, animation, morph targets, lines and points."""
 
-from __future__ import annotations
-
 import importlib.util
 import io
 import logging

@@ -10,8 +10,6 @@ half (Karis 2013); Pr goes before it. d < 1 is BLEND. A map of Pr or Pm stands i
 map_Bump is a normal map where it has colours. Leaves out: `Tr`, of which exporters disagree whether
 1 means clear or solid; grey heights; map_d."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re

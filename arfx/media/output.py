@@ -2,8 +2,6 @@
 pixel format, tags.
 """
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Callable, Sequence

@@ -2,8 +2,6 @@
 EXIF of the one it was made of.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re

@@ -5,8 +5,6 @@ A working format is planar: YUV with any subsampling, grey, or RGB as gbrp, with
 bits. Everything else (nv12, yuyv, packed RGB, palettes) is repacked into one once per
 picture, without loss where such a format exists."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field

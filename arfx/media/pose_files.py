@@ -5,8 +5,6 @@ One line a frame, in order; or with the time in seconds before it (TUM RGB-D), a
 interpolated between lines. `#` begins a comment.
 Axes of the camera: x right, y down, z forward."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

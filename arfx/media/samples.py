@@ -11,8 +11,6 @@ it is written a 16th of a step lies between two (a 4th from 13 bits on), so that
 changed keeps its bits and what is lies within a step."""
 
 # mypy: disable-error-code="no-untyped-def, index, assignment, call-arg, var-annotated"
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any, NamedTuple
 

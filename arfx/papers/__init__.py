@@ -4,8 +4,6 @@ lists papers, equations, deviations.
 One table: the class that a section's `formula` selects. Only `run` and layers above it
 import this package."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from arfx.stages import Classes

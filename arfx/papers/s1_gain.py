@@ -14,8 +14,6 @@ free, and 1/b' changes with it: for the vector of length 1 it grows with the num
 frames, in no unit of grey. So it is not well defined; `light.printed_bias` takes it all the
 same. Its errors: docs/methods/light.md#errata."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

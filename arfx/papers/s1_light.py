@@ -16,8 +16,6 @@ Deviations. I_c, for which no value is printed, is a share of the brightest unle
 `light.least_light` gives one. A light that is given, and clips in which no marker can be
 read, are left to the corrected method. Its errors: docs/methods/light.md#errata."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from typing import Any, Literal, NamedTuple

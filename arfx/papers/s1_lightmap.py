@@ -13,8 +13,6 @@ strength what glTF's materials mirror seen from above.
 Deviations. M comes from s1_light, with its own. Where the analysis has no map (a light that
 is given) the light's own soft part and its lights are in its place."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -21,8 +21,6 @@ object fades in or out so does the
 blur. Its errors: docs/methods/dof.md#errata."""
 
 # mypy: disable-error-code="no-untyped-def"
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from math import ceil, sqrt
 from typing import Any

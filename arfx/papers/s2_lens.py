@@ -7,8 +7,6 @@ U_B : distance of another thing;  C : diameter of its circle on the sensor. The 
     radius, .035, in place of C.
 Deviations: where (5) and (6) have a pole or are negative they are None."""
 
-from __future__ import annotations
-
 import math
 
 from arfx.core.lens import Lens, Limits, checked

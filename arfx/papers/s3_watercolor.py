@@ -13,8 +13,6 @@ colour at each pixel, `lightDir` points to the strongest light. Edges are drawn 
 docs/methods/watercolor.md#errata."""
 
 # mypy: disable-error-code="no-untyped-def"
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Literal
 

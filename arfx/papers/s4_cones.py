@@ -12,8 +12,6 @@ thin wall, a coarse voxel) both sides count.
 Its errors: docs/methods/gi.md#errata."""
 
 # mypy: disable-error-code="no-untyped-def"
-from __future__ import annotations
-
 import numpy as np
 from numpy import ndarray
 

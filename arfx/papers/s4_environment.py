@@ -7,8 +7,6 @@ it; what lies to both sides of an edge is as the picture was cut.
 
 Its errors: docs/methods/gi.md#errata."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import cv2

@@ -15,8 +15,6 @@ changes on the planes. The picture is changed by a ratio, so black pixels of it 
 Processor instead of graphics card. Gloss, which the paper leaves open: Karis 2013 (split
 sum). Its errors: docs/methods/gi.md#errata."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Mapping
 from typing import Any, Literal, NamedTuple
 

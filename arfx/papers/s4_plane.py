@@ -8,8 +8,6 @@ Deviations. A plane that was not seen to end goes on to FARTHEST radii of the ob
 albedo is not stated: a parameter. The object stands on its marker, or where the user puts it, not
 always at the plane's centre."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -13,8 +13,6 @@ Deviations. "Configured" lights are the frame's (`[light] given` configures one)
 direction has no shadow map. Metal sends its light evenly, as voxels are coarser than any
 highlight."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

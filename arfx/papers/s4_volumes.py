@@ -9,8 +9,6 @@ V_eta : normal times opacity, and opacity. V_rho, V_mu, V_delta (s4_shadow_maps.
 opacity."""
 
 # mypy: disable-error-code="no-untyped-def"
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -9,8 +9,6 @@ Deviations. A part that is seen through is as opaque all over as where it lets t
 pass."""
 
 # mypy: disable-error-code="no-untyped-def"
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -7,8 +7,6 @@ item where the paper has one (`rows`). `work` makes the scenes and jobs that the
 computed from (`work.Work`). To add an item: yield it, and record its verdict in
 tests/unit/reproduce/verdicts."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 

@@ -1,7 +1,5 @@
 """Runs the papers' modules: the JSON document and the pages of `arfx reproduce`."""
 
-from __future__ import annotations
-
 import platform
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict

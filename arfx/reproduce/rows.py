@@ -1,7 +1,5 @@
 """What a paper's module yields: rows of the table, figures and plots."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

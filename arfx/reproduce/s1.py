@@ -4,8 +4,6 @@ Equations on readings made for it (s1_equations), figures and table 1 on scenes.
 The reference of a picture is the corrected method at its highest level, told the true
 lamp."""
 
-from __future__ import annotations
-
 from functools import reduce
 from pathlib import Path
 from typing import NamedTuple

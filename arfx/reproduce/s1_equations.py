@@ -2,8 +2,6 @@
 readings made here.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy import ndarray
 

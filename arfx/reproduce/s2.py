@@ -2,8 +2,6 @@
 in the order of print.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Figures of Zhao et al. 2012; rates, at their resolution, and the machine that they were
 taken on."""
 
-from __future__ import annotations
-
 import platform
 
 import cv2

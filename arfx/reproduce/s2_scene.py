@@ -2,8 +2,6 @@
 on a desk, before a dark wall with bright points. The reference is a photograph of it by the
 tracer's own open lens, in which both balls are real."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -3,8 +3,6 @@
 Both formulas paint the same frame. It is made in `s3_measure`, and so is what is not in it:
 cells on a plane, steps of colour, a resting camera."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy import ndarray
 

@@ -3,8 +3,6 @@
 In the order of the paper's four steps; pictures are in `s4_pictures`. The paper prints no
 table and few numbers: measured is what its statements claim."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from arfx.analyse.depth.planes import cloud_of, find_planes, scene_planes

@@ -4,8 +4,6 @@ mirrors of both.
 The reference traces rays through the object and the plane (`gi` at level reference; in the
 short form cones take its place), and for a mirror ball through the whole synthetic room."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2

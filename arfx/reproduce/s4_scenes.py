@@ -1,7 +1,5 @@
 """Scenes and settings for the rows of Yao, Tao, Wu 2018."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from arfx.core.scene import Scene

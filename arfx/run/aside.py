@@ -1,7 +1,5 @@
 """A job planned without a place of its own: nothing of it is left."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -5,8 +5,6 @@ Threads share the model and what the stages prepared, and need no second start o
 right for a few cores, as nearly all of a frame's time is spent in code that lets other
 threads run. With many they would wait for each other."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import os

@@ -5,8 +5,6 @@ job.toml (frozen) · inputs.json · stretches.json · stretches/ · frames.json 
 environment.maps · plan.jsonl · plan_summary.json · seal.json · placed.json · chunks/ ·
 timings.jsonl · previews/ · report.json"""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json

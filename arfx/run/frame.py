@@ -3,8 +3,6 @@
 A step sees what it reads over its own rectangle: where no stage has written, the neutral
 value (nothing virtual, no shadow), and of IMAGE what was there before."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Everything that a job reads, opened and checked before any work starts."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache

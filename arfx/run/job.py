@@ -1,7 +1,5 @@
 """The main job: analyse, plan, render, join, report."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import signal

@@ -2,8 +2,6 @@
 counts where they are the same.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from arfx.config.sections import frozen

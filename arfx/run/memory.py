@@ -1,7 +1,5 @@
 """Memory of this process and of the machine, on every system."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import sys

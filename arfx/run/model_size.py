@@ -2,8 +2,6 @@
 millimetres read as metres is told by it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -2,8 +2,6 @@
 whole, of which the last counts.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 from collections.abc import Mapping

@@ -4,8 +4,6 @@ Chunk borders depend on the job alone, never on who renders them. Each worker ha
 consecutive chunks (run/executors.py): one that does not read on from its last chunk decodes
 from the key frame before."""
 
-from __future__ import annotations
-
 import contextlib
 import heapq
 from collections import deque

@@ -5,8 +5,6 @@ Where a clip is cut depends on it alone: at key frames, so that a worker can beg
 there, at least LEAST_FRAMES apart. Every stretch is analysed as if nothing lay before it
 (`arfx.analyse.observe`), and sees the first frame of the next one."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

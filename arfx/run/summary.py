@@ -3,8 +3,6 @@ of `arfx report`).
 
 `health` holds every estimate with its value, limit, verdict, and what was done about it."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType

@@ -2,8 +2,6 @@
 resumed job reports the time of all of it.
 """
 
-from __future__ import annotations
-
 import os
 import time
 from collections import Counter

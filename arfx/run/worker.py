@@ -3,8 +3,6 @@
 A worker is sent a range, never pixels, and reads the rest from the job folder.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

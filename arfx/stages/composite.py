@@ -10,8 +10,6 @@ bound. One level: arithmetic, exact to rounding, so that its error is 0. Leaves 
 order against real objects (`hide`)."""
 
 # mypy: disable-error-code="no-untyped-def"
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -6,8 +6,6 @@ similar brightness.
 Source: He, Sun and Tang 2010, eqs. 14 to 16; each mean weighted by where the mask means anything.
 Cost: O(pixels of the box around what is mixed)."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy import ndarray

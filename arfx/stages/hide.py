@@ -11,8 +11,6 @@ what is nearer on the object
 (`holdout` keeps the object's off it). Source: guided filter (`guided`), each mean weighted
 by where the object is."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -11,8 +11,6 @@ what is left. Cost: O(pixels of the shadow). Leaves out: the shadow that such a 
 really take, and cast on the object.
 Source: guided filter (`guided`)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What is not known of a picture, from what is known around it."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy import ndarray

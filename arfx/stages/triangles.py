@@ -2,8 +2,6 @@
 a set of directions.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

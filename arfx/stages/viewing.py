@@ -2,8 +2,6 @@
 and linear between.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy import ndarray

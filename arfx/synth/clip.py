@@ -3,8 +3,6 @@ input where the scene has one.
 
 Its folder appears when it is complete."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import re

@@ -4,8 +4,6 @@ tags, rotation and tone; and its depth.
 Written apart from arfx.media, so that a mistake there cannot cancel out. BT.709, limited
 range, sRGB curve; the chroma of 4:2:0 is sited left (MPEG-2), as H.264 players expect."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@ noise, clipping, transfer curve.
 
 Samples over pixel, shutter and lens are averaged in linear light."""
 
-from __future__ import annotations
-
 from functools import cache, lru_cache, partial
 
 import cv2

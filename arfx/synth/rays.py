@@ -16,8 +16,6 @@ stay hard-edged)
 """
 
 # mypy: disable-error-code="no-untyped-def"
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -2,8 +2,6 @@
 
 `shapes.toml` lists the parts of each, and says what a part may be."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path

@@ -5,8 +5,6 @@ for corners and optical flow; and panoramas as sets of directional lights, by me
 Panoramas are equirectangular with the room's z up: the middle column looks along x, the
 left half holds +y."""
 
-from __future__ import annotations
-
 import tomllib
 import zlib
 from pathlib import Path

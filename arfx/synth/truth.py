@@ -10,8 +10,6 @@ Mask: 8-bit PNG of object
 numbers. Flow to the next frame: KITTI's 16-bit PNG, u = (R - 2^15) / 64 px, v from G, B = 1
 where known."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

@@ -2,8 +2,6 @@
 under which light; exact poses by time.
 """
 
-from __future__ import annotations
-
 import zlib
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 The process ends here too, with the exit code alone: what libraries do at exit cannot change it.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from typing import Any

@@ -1,7 +1,5 @@
 """`arfx batch`: many clips, one job each."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import click

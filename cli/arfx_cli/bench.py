@@ -1,7 +1,5 @@
 """`arfx bench`: cost of each stage and level on this machine."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`arfx demo`: a sample clip made, processed and reported, without any argument."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -1,7 +1,5 @@
 """`arfx doctor`: what works here, and the fix for what does not."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import sys

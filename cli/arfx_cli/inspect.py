@@ -1,7 +1,5 @@
 """`arfx inspect`: what is in a clip, and the `process` command for it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

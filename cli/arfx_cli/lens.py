@@ -1,7 +1,5 @@
 """`arfx lens`: depth-of-field limits of a thin lens, both formulas."""
 
-from __future__ import annotations
-
 import math
 
 from arfx_cli.console import arfx_command, print_table, wrote_json

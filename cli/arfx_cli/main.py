@@ -2,8 +2,6 @@
 message and an exit code.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import io

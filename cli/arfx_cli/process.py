@@ -1,7 +1,5 @@
 """`arfx process`: the main job."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

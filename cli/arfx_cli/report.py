@@ -1,7 +1,5 @@
 """`arfx report`: the report of a finished job."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from arfx_cli.console import arfx_command, detail_job, say, wrote_json

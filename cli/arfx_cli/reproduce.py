@@ -2,8 +2,6 @@
 program gives.
 """
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`arfx stages`: every stage and every setting."""
 
-from __future__ import annotations
-
 import sys
 
 import click

@@ -1,7 +1,5 @@
 """`arfx synth`: a synthetic clip with exact truth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

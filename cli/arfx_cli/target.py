@@ -1,7 +1,5 @@
 """`arfx target`: a printable marker, marker sheet or board, true to scale."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from arfx.core.guard import Guard

@@ -1,7 +1,5 @@
 """`arfx verify`: a synthetic scene through the whole job, against its truth."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from pathlib import Path

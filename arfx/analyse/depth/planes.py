@@ -9,8 +9,6 @@ cells, the rim smoothed, small holes closed.
 Source: docs/methods/calibration.md#planes.
 Cost: O(patches x points) per plane."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@ distance is known in metres.
 
 Source: docs/methods/calibration.md#depth."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass

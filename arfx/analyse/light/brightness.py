@@ -12,8 +12,6 @@ the noise. Chroma, the difference of the channels from their mean, is held to mo
 Source: random walk by banded Cholesky (Rue and Held 2005, 2.4); docs/methods/light.md#update.
 Cost: some 10 us a reading."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import cv2

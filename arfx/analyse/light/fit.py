@@ -7,8 +7,6 @@ vectors of all of them, and `refused`, in words, where that cone says
 nothing: then the ambient light is the mean of what was seen.
 Source: Tan, Chen, Sun 2009, eq. (1); docs/methods/light.md#lamps. Cost: 20 to 150 ms."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -6,8 +6,6 @@ Whatever the cue, brightness and colour of each frame are those that the markers
 camera's where the camera stands still, else the marker map's.
 Source: docs/methods/light.md#cues."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby

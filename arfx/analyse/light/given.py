@@ -2,8 +2,6 @@
 of it. A direction, or a high dynamic range picture of the surroundings: equirectangular, z up;
 the middle column looks along x, the left half holds +y."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy import ndarray

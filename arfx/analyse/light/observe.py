@@ -1,8 +1,6 @@
 """What the light takes from the frames: readings of the prints, how the background changes,
 small pictures of the surroundings."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 

@@ -7,8 +7,6 @@ Source: Tan, Chen, Sun 2009, section 2.1; docs/methods/light.md#meter. Cost: abo
 a marker of 270 px.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """A print's cells in linear light: samples on a grid inside every cell, away from its edges."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,8 +1,6 @@
 """Observations of irradiance brought down to what a fit needs: few normals, robust means,
 honest weights."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -17,8 +17,6 @@ docs/methods/gi.md#environment; the radius: plane sweep (Collins 1996), with sph
 out: things at several distances, people who walk through. Cost: some 10 ms for a snapshot, some
 30 ms for a shot's radius."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -5,8 +5,6 @@ A darker room darkens all of a print; a shadow's edge leaves some of its bright 
 were. What casts it stands beside the print, over the shaded part, because the print is seen:
 so the lamp is on that side. The edge's width is the lamp's size, seen from what casts it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Cells of directions in even steps over the whole sphere."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any
 

@@ -15,8 +15,6 @@ Source: docs/methods/gi.md#environment, docs/methods/light.md#surroundings. Cost
 ms a frame at SIZE 16.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

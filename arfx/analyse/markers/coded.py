@@ -5,8 +5,6 @@ whole frame.
 While nothing is in view, a frame between two that show nothing on the reduced image is not
 searched: a marker that shows in a single frame may be missed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 

@@ -6,8 +6,6 @@ the clip is (`chosen_transfer`): where edges are not symmetric in light, corners
 code too. Leaves out: rolling shutter.
 Source: docs/methods/pose.md#corners. Cost: about 1 ms a frame, and .3 ms a marker."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cache
 from typing import NamedTuple

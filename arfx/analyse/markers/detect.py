@@ -8,8 +8,6 @@ Cost: about 3 ms per 640x360 image and family, 7 to 10 ms at 720p, 10 to 20 ms a
 threads).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple

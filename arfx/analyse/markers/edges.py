@@ -7,8 +7,6 @@ quads are worked on as one array; no result depends on the others. Points are co
 numbers here, x + iy.
 Source: docs/methods/pose.md#corners."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

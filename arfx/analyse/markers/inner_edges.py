@@ -5,8 +5,6 @@ Every line between a dark and a bright cell is looked up in the picture. How far
 off, as a plane over the print, says how far each corner is off. Cost: about .1 ms per
 marker."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import cv2

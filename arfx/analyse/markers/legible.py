@@ -5,8 +5,6 @@ configured ones are not seen, for the message that says so.
 OpenCV's detector corrects wrong bits and asks for no white around the print, so that codes
 of few bits turn up everywhere."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import cv2

@@ -1,8 +1,6 @@
 """Prints without code in a frame, known by their pictures: aligned from where they were
 expected, else from where they were, or found by their features."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 
 from numpy import ndarray

@@ -1,8 +1,6 @@
 """Texture of pictures, compared whatever the light: local contrast made even, and points that
 are followed from one picture to another and back."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy import ndarray

@@ -5,8 +5,6 @@ frame is searched at full resolution at a stated interval, and in between reduce
 few frames, and in those after a loss. Of two prints of one key the one nearest to where it
 was expected is followed, at first the larger one."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol

@@ -5,8 +5,6 @@ field(new epoch, node) = field(key frame, where the node lay then). A cut starts
 field, elsewhere.
 Source: docs/methods/watercolor.md#advection. Cost: O(nodes) per epoch."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -9,8 +9,6 @@ Source: docs/methods/watercolor.md#advection. Cost: some 2 of the benchmark's ya
 blur of 1280 x 720) a frame.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache

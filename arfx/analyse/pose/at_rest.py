@@ -7,8 +7,6 @@ With markers: corners outside of them, over about a third of a second. Without: 
 first picture in later ones.
 Source: docs/methods/pose.md#rest."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple

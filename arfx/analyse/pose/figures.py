@@ -1,7 +1,5 @@
 """What the report says of the poses, and the checks of their health."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise

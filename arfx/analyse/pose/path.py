@@ -3,8 +3,6 @@ over the whole clip (Viterbi).
 
 Source: docs/methods/pose.md#path."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple

@@ -2,8 +2,6 @@
 
 Source: docs/methods/pose.md#presence."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

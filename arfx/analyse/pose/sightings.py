@@ -1,7 +1,5 @@
 """Every print that was seen with its geometry: corners, how sure they are, planar solutions."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,8 +1,6 @@
 """The camera's path over the markers: planar poses, marker map, path, gaps, smoothing. Solved
 when the clip's end is known."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from statistics import median
 from typing import Any

@@ -4,8 +4,6 @@ jitters.
 
 Source: docs/methods/pose.md#presence."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What has to be the same in all processes that render a job, and what of it differs."""
 
-from __future__ import annotations
-
 import os
 import platform
 from collections.abc import Iterator, Mapping, Sequence

@@ -5,8 +5,6 @@ What is found there is the same file by its size and content, whatever it is cal
 folder under a URL, for workers that do not see the one of this machine, job files go up, and
 chunks and stretches come down (`Store`)."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import os

@@ -1,8 +1,6 @@
 """The workers of a cluster, and what they do of one job: chunks, or stretches of the
 analysis. Dask gives these out to workers that may work, and again where one is lost."""
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence

@@ -4,8 +4,6 @@ stretches and renders chunks.
 What it is sent are places, digests and numbers of frames; what it returns are names and
 times."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import shutil

@@ -1,7 +1,5 @@
 """A cluster for a job: connected to, or started and stopped with it."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import importlib.util

@@ -1,8 +1,6 @@
 """What one blur circle looks like on the pixel grid: a disc, or an n-blade polygon of the same
 area."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

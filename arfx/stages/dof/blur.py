@@ -5,8 +5,6 @@ Two layers make the silhouette of the virtual object exact: behind it is the cle
 shadow, as the composite has it, so what a blurred edge lets through is known."""
 
 # mypy: disable-error-code="no-untyped-def"
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

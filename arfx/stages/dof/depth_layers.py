@@ -5,8 +5,6 @@ The layer in the focus is sharp, so neither of the others may spread into it; th
 focus is spread over both. What lies behind an edge is not in the picture; it is taken from beside
 the edge, nearest first. Leaves out: edges between things of one layer."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy import ndarray

@@ -7,8 +7,6 @@ outline lets through is then spread with the same discs as what it covers: both 
 to 1, and coverage is right inside, at the edge, and where near parts stand before far ones.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -12,8 +12,6 @@ Leaves out: colours of points that the pinhole picture does not show (they take 
 met beside them), partly transparent materials."""
 
 # mypy: disable-error-code="no-untyped-def"
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

@@ -1,8 +1,6 @@
 """The lens of one frame, in pixels: how large the blur circle of a distance is. Affine in dioptres
 (core/lens.py)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

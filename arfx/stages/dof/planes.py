@@ -6,8 +6,6 @@ table of every GRID_PX-th pixel follows the lens, linear between. Leaves out: re
 stand on the plane. Where the frame has measured depth, that stands in place of all planes.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

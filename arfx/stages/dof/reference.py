@@ -9,8 +9,6 @@ Cost: O(pixels x radius). Leaves out: as the other levels, what measured depth d
 """
 
 # mypy: disable-error-code="no-untyped-def"
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -10,8 +10,6 @@ rectangle that holds what its light comes from.
 Cost: O(pixels), two convolutions of at most 11 x 11 each, fewer where cells are larger."""
 
 # mypy: disable-error-code="no-untyped-def"
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache, partial
 

@@ -11,8 +11,6 @@ their edges, that a blurred object lets through light of one side of the lens on
 before the object and reaches over it, lens aberrations, vignetting, motion.
 Source: docs/methods/dof.md."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any, ClassVar

@@ -7,8 +7,6 @@ Cost: O(rays x planes). Source: docs/methods/gi.md#gloss. Leaves out: real thing
 """
 
 # mypy: disable-error-code="no-untyped-def"
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 Source: Karis 2013 (split sum); docs/methods/gi.md#gloss."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy import ndarray
 

@@ -1,7 +1,5 @@
 """What arrives at the object in one frame: the environment, and the picture on the real planes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import cv2

@@ -6,8 +6,6 @@ of what hides less that of what is hidden, is even: so the change is the fine sh
 the coarse quotient, sharp where the object stands. Planes that it does not stand on have
 the coarse share. Source: docs/methods/gi.md#delta."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import cv2

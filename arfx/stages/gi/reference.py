@@ -10,8 +10,6 @@ Source: Pharr, Jakob, Humphreys, Physically Based Rendering; Cranley, Patterson 
 sequences).
 Cost: O(pixels x samples)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial

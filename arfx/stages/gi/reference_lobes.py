@@ -8,8 +8,6 @@ parts of the environment can be weighed against these (balance heuristic). Sourc
 Guibas 1995 (multiple importance sampling).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

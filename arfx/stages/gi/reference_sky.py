@@ -4,8 +4,6 @@ A ray in the direction that a surface's own reflection suggests meets a small la
 and then counts hundredfold: single pixels far too bright. So directions are also drawn from the
 environment itself."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy import ndarray
 

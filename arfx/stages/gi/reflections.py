@@ -7,8 +7,6 @@ a wide lobe rather the light that falls on the place. Cost: O(covered pixels + r
 Source: docs/methods/gi.md#gloss."""
 
 # mypy: disable-error-code="no-untyped-def"
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

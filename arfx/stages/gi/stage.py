@@ -12,8 +12,6 @@ Leaves out: real things that are no
 plane, caustics, refraction, light that the object sends through its own transparent parts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import chain

@@ -4,8 +4,6 @@ each part's share of the plane.
 Directions and sizes are quantised, finely, for shadows only: they are the keys by which
 shadows are cached."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Light on a surface whose normal map leans: none comes from below the surface itself."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy import ndarray
 

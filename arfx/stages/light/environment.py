@@ -9,8 +9,6 @@ longer at grazing angles.
 Source: Karis 2013 (the split sum's first part), docs/methods/light.md#reflections."""
 
 # mypy: disable-error-code="no-untyped-def"
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 from itertools import islice

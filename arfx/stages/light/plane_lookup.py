@@ -4,8 +4,6 @@ The lens is followed by viewing directions at every GRID_PX-th pixel, linear bet
 O(pixels) for each texture."""
 
 # mypy: disable-error-code="no-untyped-def"
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -8,8 +8,6 @@ contact's, has texels of about a pixel. Values are the share of that light that 
 0..1.
 Cost: O(silhouettes x (edges + texels)). Source: docs/methods/light.md#shadow."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ which it is seen from there.
 Source: docs/methods/gi.md#delta; bound from the solid angle of the ball around the object.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache

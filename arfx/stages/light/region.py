@@ -4,8 +4,6 @@ Found without the picture.
 The soft light: a coarse picture of the plane. Lamps: the hull of the object, cast from the
 rim of the lamp's disc."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import cv2

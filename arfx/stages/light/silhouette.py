@@ -8,8 +8,6 @@ touches the plane and all silhouettes agree. Cost: O(directions x (texels + rows
 contour crosses))"""
 
 # mypy: disable-error-code="no-untyped-def, assignment"
-from __future__ import annotations
-
 import numpy as np
 from numpy import ndarray
 

@@ -8,8 +8,6 @@ Cost: O(surfels x rays) a clip, O(covered pixels) a frame. Leaves out: light fro
 onto itself.
 `reference` sends rays from every pixel. Source: docs/methods/light.md#shading."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -6,8 +6,6 @@ for metal of roughness .4, and below zero for what is rough and dark.
 Source: Karis 2013; Heitz 2014 (shadowing), 2018 (visible normals)."""
 
 # mypy: disable-error-code="no-untyped-def"
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -4,8 +4,6 @@ Rays meet the object's triangles (embree). A triangle that lets light pass stops
 often as it is opaque, so that thin and transparent parts dim what lies behind them. Cost:
 O(rays), once a clip."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property

@@ -10,8 +10,6 @@ KHR_materials_sheen.
 """
 
 # mypy: disable-error-code="no-untyped-def"
-from __future__ import annotations
-
 import numpy as np
 
 from arfx.core.compiled import FAST, kernel, line_kernel

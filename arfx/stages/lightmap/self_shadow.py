@@ -9,8 +9,6 @@ nothing comes loose that is farther apart than that. Cost: O(covered pixels x ta
 `reference` sends rays instead."""
 
 # mypy: disable-error-code="no-untyped-def"
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -11,8 +11,6 @@ plane, onto the object.
 Source: docs/methods/light.md#shading, docs/methods/light.md#reflections."""
 
 # mypy: disable-error-code="no-untyped-def"
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

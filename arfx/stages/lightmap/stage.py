@@ -11,8 +11,6 @@ Leaves out: other real surfaces, shadows of unlike opacity, light from the plane
 object, caustics.
 Source: docs/methods/light.md#shadow, docs/methods/light.md#shading."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial

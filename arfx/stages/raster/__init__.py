@@ -1,7 +1,5 @@
 """The raster stage: one door (`Raster`), two back ends, and what `arfx doctor` asks about them."""
 
-from __future__ import annotations
-
 from arfx.stages.raster.backends import backend_report, choose_backend
 from arfx.stages.raster.stage import Raster, RasterParams
 

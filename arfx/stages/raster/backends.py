@@ -3,8 +3,6 @@
 Probing OpenGL opens a context in this process, which keeps it; nothing is probed before it
 is asked for."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

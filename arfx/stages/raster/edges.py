@@ -5,8 +5,6 @@ does not tell (cut-outs, parts that pass through each other) comes from neighbou
 """
 
 # mypy: disable-error-code="no-untyped-def"
-from __future__ import annotations
-
 import numpy as np
 from numpy import ndarray
 

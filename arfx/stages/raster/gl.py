@@ -7,8 +7,6 @@ needs. The near plane stands at 9/10 of the nearest vertex, at least NEAR_M; wha
 is cut away. Any thread may ask, several at once too: drawing alone waits for the OpenGL
 thread (gl_draw.py)."""
 
-from __future__ import annotations
-
 import weakref
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar

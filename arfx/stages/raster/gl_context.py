@@ -7,8 +7,6 @@ never deleted: EGL's displays are shared, so that ending one ends others, and a 
 be unloaded before Python is done. A spawned process opens its own; none survives a fork.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import sys

@@ -4,8 +4,6 @@
 Vertices, camera and shader program are pyrender's; the framebuffer is ours, as pyrender has none of
 whole numbers."""
 
-from __future__ import annotations
-
 import ctypes
 from pathlib import Path
 from typing import Any

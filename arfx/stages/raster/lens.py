@@ -5,8 +5,6 @@ solved on a grid of every 8th pixel and a cubic spline through the nodes gives t
 by less than 1e-3 px for every lens that is one-to-one over the frame (tested). Where it is
 not, every pixel is solved."""
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import numpy as np

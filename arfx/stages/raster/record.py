@@ -3,8 +3,6 @@
 Compiled loops take them, and are compiled again for each mix of types: dtypes and order are fixed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 

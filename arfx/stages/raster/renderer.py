@@ -6,8 +6,6 @@ on behind transparent layers and cut-outs, up to MAX_LAYERS, by embree.
 Cost: O(faces + pixels of the rectangle + edge pixels x samples); measured in `Raster.levels`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Protocol
 

@@ -2,8 +2,6 @@
 for pixel centres, samples along edges and layers behind transparent ones."""
 
 # mypy: disable-error-code="no-untyped-def, call-arg, var-annotated, arg-type, assignment"
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

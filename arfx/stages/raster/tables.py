@@ -1,7 +1,5 @@
 """The mesh and its materials as arrays that surface.py reads."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -3,8 +3,6 @@ with its variance, in the level of the texture's pyramid in which they lie _APAR
 apart."""
 
 # mypy: disable-error-code="no-untyped-def, call-arg, arg-type, assignment"
-from __future__ import annotations
-
 import numpy as np
 
 from arfx.core.compiled import FAST, kernel, line_kernel

@@ -2,8 +2,6 @@
 
 Each level is the mean of four texels of the level below, 16 bits a channel."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -9,8 +9,6 @@ Cost: O(faces + pixels of their boxes); some 8 times quicker than a tree for a p
 """
 
 # mypy: disable-error-code="no-untyped-def, var-annotated"
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

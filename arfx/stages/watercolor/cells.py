@@ -6,8 +6,6 @@ that cells vanish in even areas and stay where the picture changes.
 Cost: O(pixels) once for the means, O(cells) after. Source: docs/methods/watercolor.md#cells.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 

@@ -5,8 +5,6 @@ How near: by the measured depth of the scene around each node, else by the marke
 holes of a depth map hardly move the mean around a node, and sizes follow it without a threshold: a
 cell appears or goes slowly, as under a zoom."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

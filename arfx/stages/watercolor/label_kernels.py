@@ -5,8 +5,6 @@ So it does distances packed with the number of their site, but for cells of some
 Loops go in steps of a vector unit. Source: docs/methods/watercolor.md#labels."""
 
 # mypy: disable-error-code="call-overload, operator, arg-type"
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -5,8 +5,6 @@ px), faded in between two thresholds, kept where a line is strong somewhere (hys
 the virtual object also come from its coverage, normals and depth. Cost: O(pixels).
 Source: Jia, Tang 2013, eq. 2-4; docs/methods/watercolor.md#edges."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import NamedTuple
 

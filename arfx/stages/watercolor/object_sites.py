@@ -6,8 +6,6 @@ takes those that the wanted density calls for, which is higher where the surface
 marker. Cost: O(points) per set. Leaves out: which points other parts of the model hide; they add
 cells where they lie."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ Without borders a pixel takes its own cell's colour. With them, alike cells run 
 unlike ones keep their border, darker towards it. Cost: O(pixels).
 Source: docs/methods/watercolor.md#pigment; pigment itself is in pigment.py."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

@@ -6,8 +6,6 @@ border of a wash, where water leaves its pigment. Cost: O(cells).
 Source: Bousseau et al. 2006, docs/methods/watercolor.md#pigment. Leaves out: wet-in-wet flow,
 drips, white gaps."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -12,8 +12,6 @@ Grain lies on the paper and stays there: coherence along the motion is measured 
 Source: docs/methods/watercolor.md. Leaves out: wet-in-wet flow; without measured depth, that of
 real things off the plane."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial, reduce

@@ -7,8 +7,6 @@ tones have the mean colour of the lit object.
 Cost: O(covered pixels). Source: docs/methods/watercolor.md#toon. Leaves out: highlights, shadows of
 the object on itself."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy import ndarray

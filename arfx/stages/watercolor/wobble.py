@@ -7,8 +7,6 @@ borders would tremble by a ninth of a pixel (rms). The tile is made at each plac
 when it is first asked for. Cost: some 5 ms each, once.
 Leaves out: how the picture turns or grows; the noise does neither."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from math import floor
 
