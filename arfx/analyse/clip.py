@@ -144,16 +144,11 @@ def surrounded(
 ) -> Analysis:
     """The surroundings, for reflections: a guess of all of them, and what was seen of them."""
     anchor, still_camera = clip.world_from_anchor, clip.static == "camera"
-    clip = clip.adding(
-        with_environment(
-            clip.facts, samples, still_camera, job.panorama, anchor.rotation
-        )
-    )
     if job.panorama is not None:
         facts, maps = given_everywhere(clip.facts, job.panorama, anchor.rotation)
     else:
         facts, maps = with_seen(
-            clip.facts,
+            with_environment(clip.facts, samples, still_camera),
             snapshots,
             job.camera,
             still_camera,

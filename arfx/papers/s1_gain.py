@@ -117,19 +117,15 @@ def brightness(intensity: ndarray) -> ndarray:
 
 
 def gain_and_bias(
-    intensity: ndarray,
-    albedo: ndarray,
-    clipped: ndarray | None = None,
-    printed_bias: bool = False,
+    intensity: ndarray, albedo: ndarray, printed_bias: bool = False
 ) -> Photometry:
     """(4) to (6) for all channels, arguments as in photometry.solve. No variances: the
     paper has none; those reported are of the residuals. printed_bias : b = 1/b' in place of
     b'/g' (y stays as solved)."""
-    channels, ignored = weighted(intensity, None, albedo)
     parts = []
-    for grey, weight, rho in channels:
+    for grey, weight, rho in weighted(intensity, None, albedo):
         seen = weight.any(1)
-        part = bright_patches(grey, weight, rho, UNUSABLE, 0)
+        part = bright_patches(grey, weight, rho, UNUSABLE)
         if seen.any():
             found = eq6_smallest_vector(np.where(weight > 0, grey, np.nan), rho)
             why = f"the system has nullity {found.nullity}, not 1"
@@ -151,9 +147,9 @@ def gain_and_bias(
                     misfit=float(np.sqrt(spread)),
                 )
                 why = ""
-            part = part._replace(why=why, rank=found.rank, condition=found.condition)
-        parts.append(part._replace(unknowns=int(seen.sum()) + 2))
-    return assemble(parts, clipped, ignored)
+            part = part._replace(why=why, condition=found.condition)
+        parts.append(part)
+    return assemble(parts)
 
 
 def _sparse(grey: ndarray, r: ndarray, m: ndarray) -> tuple[ndarray, ndarray]:

@@ -258,8 +258,9 @@ class PrintedStaticFrameLight(StaticFrameLight):
         """Each frame's light map and its peaks; frames without a reading have those before them."""
         if not self.lit:
             return super().from_markers(rests, samples)
-        ends = np.searchsorted(self.numbers, self.lit)[1:]
-        rows = self.normals, self.reading.y, self.reading.variance
+        r = self.readings
+        ends = np.searchsorted(r.frame, self.lit)[1:]
+        rows = r.normal, r.radiance, r.variance
         seen = map(Observation, *(np.split(a, ends) for a in rows))
         solution, cubes, turn = lights_of([*seen], self.params)
         last = np.clip(
@@ -303,14 +304,14 @@ class PrintedLight:
         def solve(
             grey: ndarray,
             _: ndarray,
-            clipped: ndarray,
+            __: ndarray,
             rho: ndarray,
             *more: Any,
-        ) -> tuple[Photometry, None]:
+        ) -> Photometry:
             # one kind of print, without colour
             if params.albedos == BRIGHTNESS and (rho == rho[:1, :, :1]).all():
                 rho = brightness(grey)
-            return gain_and_bias(grey, rho, clipped, params.printed_bias), None
+            return gain_and_bias(grey, rho, params.printed_bias)
 
         clip = with_light(
             clip, readings, samples, params, panorama, solve, printed_part

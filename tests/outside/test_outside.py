@@ -14,7 +14,6 @@ import pytest
 
 from arfx.analyse.light.given import light_from_panorama
 from arfx.analyse.light.seen import given_everywhere
-from arfx.analyse.light.surroundings import with_environment
 from arfx.core.camera import Camera
 from arfx.core.colour import SRGB
 from arfx.core.facts import FrameFacts
@@ -55,8 +54,7 @@ def placed(scene: OutsideScene, folder: Path) -> tuple[Scene, FrameFacts]:
     pose = Pose(turn, -turn @ np.array(view.eye_m))
     bare = Scene(camera, model, Z_UP, light=light)
     lit = small.facts(bare, pose).with_(light=light)
-    mapped, maps = given_everywhere([lit], panorama, np.eye(3))
-    facts = with_environment(mapped, (), False, panorama, np.eye(3))[0]
+    (facts,), maps = given_everywhere([lit], panorama, np.eye(3))
     return Scene(camera, model, Z_UP, light=light, environment_maps=maps), facts
 
 

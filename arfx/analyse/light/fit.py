@@ -8,7 +8,6 @@ nothing: then the ambient light is the mean of what was seen.
 Source: Tan, Chen, Sun 2009, eq. (1); docs/methods/light.md#lamps. Cost: 20 to 150 ms."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy import ndarray
@@ -23,7 +22,7 @@ from arfx.analyse.light.hypotheses import (
     Explanations,
     Params,
 )
-from arfx.analyse.light.model import DOME, Lights, bent, refine, solve
+from arfx.analyse.light.model import DOME, refine, solve
 from arfx.analyse.light.search import gather
 from arfx.core.light import DirectionalLight, Light, harmonics, triple
 from arfx.core.numerics import arccos, normalise
@@ -60,14 +59,13 @@ class FittedLight:
     angular_size_deg : full angle of its disc, a default or what the data allow where they
     do not show it; if merely likely as
         wide as lamps in its place may be spread, up to 30
-    doubt : what else explains the data, in words;  verdict : of its direction"""
+    verdict : of its direction"""
 
     direction: ndarray
     rgb: ndarray
     confidence_deg: float
     angular_size_deg: float = DEFAULT_SIZE_DEG
     verdict: str = MEASURED
-    doubt: str = ""
 
     @property
     def dome(self) -> bool:
@@ -87,8 +85,6 @@ class LightFit:
     well: one
         whose direction is not has confidence_deg 180, and is soft light in `light()`
     model_error : systematic, relative
-    gamma : exponent found in the values
-    span_deg : of the normals;
     """
 
     verdict: str
@@ -97,8 +93,6 @@ class LightFit:
     seen_rgb: ndarray
     lights: tuple[FittedLight, ...] = ()
     model_error: float = 0.0
-    gamma: float = 1.0
-    span_deg: float = 0.0
 
     def irradiance(self, normals: ndarray, group: int = 0) -> ndarray:
         """(..., 3) at unit normals (..., 3): ambient light and `lights`."""
@@ -133,7 +127,7 @@ class LightFit:
         """As the light that every effect shares: known directions are lights, all else is
         soft (degree 2 harmonics).
         """
-        ambient, lamps, shaped = np.array(self.ambient_rgb[group]), [], False
+        ambient, lamps, shaped = self.ambient_rgb[group], [], False
         soft = np.zeros((9, 3))
         soft[0] = ambient * np.sqrt(4 * np.pi)
         for li in self.lights:
@@ -146,11 +140,11 @@ class LightFit:
                     DirectionalLight(*towards, li.angular_size_deg, cone_deg)
                 )
                 continue
-            fraction, mean = (_DOME, 1 / 3) if li.dome else (_COSINE, 1 / 4)
+            fraction, shaped = (_DOME if li.dome else _COSINE), True
             soft += (fraction * harmonics(li.direction))[:, None] * rgb
-            ambient, shaped = ambient + rgb * mean, True
-        rows = tuple(map(triple, soft)) if shaped else ()
-        return Light(triple(ambient), tuple(lamps), "marker", rows)
+        if shaped:
+            return Light.of_soft(soft, tuple(lamps), "marker")
+        return Light(triple(ambient), tuple(lamps), "marker")
 
 
 def span_deg(normals: ndarray) -> float:
@@ -166,8 +160,8 @@ def span_deg(normals: ndarray) -> float:
 def fit(
     normals: ndarray,
     irradiance: ndarray,
-    variance: ndarray | None = None,
-    group: ndarray | None = None,
+    variance: ndarray | float = 0.0,
+    group: ndarray | int = 0,
     params: Params = Params(),  # noqa: B008 - frozen
     lit: ndarray | None = None,
 ) -> LightFit:
@@ -175,8 +169,7 @@ def fit(
     variance : (k, 3), of noise alone
     (an error that all share, as the bias has, is ambient light here);  group : (k,) int:
     directions are shared by all
-    groups, amplitudes are each group's own. What is not finite is left out.
-    Nothing non-finite leaves.
+    groups, amplitudes are each group's own. All finite.
     lit : (g,) by the number of the group, share of the lamps that is on: then amplitudes
     are shared by all groups too
     """
@@ -185,12 +178,11 @@ def fit(
         none = np.zeros((1, 3))
         return LightFit(REFUSED, "no usable observation", none, none)
     span = span_deg(normalise(s.normals))
-    about: dict[str, Any] = {"span_deg": span}
-    groups = s.groups()
+    groups, error = s.groups(), 0.0
     seen = np.array([g.value @ g.root / (g.root @ g.root) for g in groups]) * s.scale
 
-    def refused(why: str, **more: Any) -> LightFit:
-        return LightFit(REFUSED, why, seen, seen, **about, **more)
+    def refused(why: str) -> LightFit:
+        return LightFit(REFUSED, why, seen, seen, model_error=error)
 
     narrow = span < NARROW_DEG and s.condition() > MOST_CONDITION
     if span < LEAST_SPAN_DEG or narrow:
@@ -214,14 +206,12 @@ def fit(
             break
         s = gather(normals, irradiance, variance, group, error, lit) or s
         found = Explanations(s, params, found)
-    about["model_error"] = error
     if error > MOST_ERROR:
         return refused(
             f"no lights explain what was seen to better than {error:.1%}: exposure or light"
             " changed, or the surface is glossy",
         )
     model, count = found.best[found.count], found.count
-    about["gamma"] = float(np.exp(bent(found.groups, model)))
     if count == 0:
         return refused(
             "the light is even: no direction stands out, or it comes from behind all"
@@ -238,7 +228,7 @@ def fit(
         return refused(first.doubt)
     size_deg = _size_deg(found, domes)
     lights = []
-    for i, (verdict, cone, doubt) in zip(order, known, strict=True):
+    for i, (verdict, cone, _) in zip(order, known, strict=True):
         size = 180.0 if domes[i] else size_deg
         one = FittedLight(
             model.dirs[0, i],
@@ -246,19 +236,18 @@ def fit(
             NO_CONE_DEG if verdict == REFUSED else cone,
             size,
             verdict,
-            doubt,
         )
         if verdict == LIKELY:
-            one = doubted(one, cone, doubt)
+            one = doubted(one, cone)
         lights.append(one)
     reason = f"{count} light{'s' * (count > 1)}, {_words(first)}"
     if count == 2:
         reason += f"; the second {_words(known[1])}"
     reason += f"; normals over {span:.0f} degrees"
-    return LightFit(first.verdict, reason, amp[:, :, 0], seen, tuple(lights), **about)
+    return LightFit(first.verdict, reason, amp[:, :, 0], seen, tuple(lights), error)
 
 
-def doubted(light: FittedLight, cone_deg: float, doubt: str) -> FittedLight:
+def doubted(light: FittedLight, cone_deg: float) -> FittedLight:
     """The light as a likely one, its disc as wide as lamps in its place may be spread."""
     size_deg = max(light.angular_size_deg, min(cone_deg, MOST_SIZE_DEG))
     return replace(
@@ -266,7 +255,6 @@ def doubted(light: FittedLight, cone_deg: float, doubt: str) -> FittedLight:
         confidence_deg=cone_deg,
         angular_size_deg=size_deg,
         verdict=LIKELY,
-        doubt=doubt,
     )
 
 
@@ -285,12 +273,11 @@ def _size_deg(found: Explanations, domes: ndarray) -> float:
     model = found.best[found.count]
     n = len(_SIZES_DEG)
     soft = np.where(domes, model.soft, np.sin(np.radians(_SIZES_DEG))[:, None])
-    tried = Lights(np.repeat(model.dirs, n, 0), soft, np.repeat(model.mix, n, 0))
+    tried = replace(model[np.zeros(n, int)], soft=soft)
     chi2 = refine(found.groups, tried, passes=6)[1]
     bound = found.bound()
-    inside, best = (
-        np.flatnonzero(chi2 <= max(bound, chi2.min())),
-        2 * float(_SIZES_DEG[chi2.argmin()]),
-    )
-    most = 2 * float(_SIZES_DEG[min(inside[-1] + 1, len(chi2) - 1)])
-    return min(DEFAULT_SIZE_DEG, most) if inside[0] == 0 else best
+    inside = np.flatnonzero(chi2 <= max(bound, chi2.min()))
+    if inside[0] > 0:
+        return 2 * float(_SIZES_DEG[chi2.argmin()])
+    most = 2 * float(_SIZES_DEG[min(inside[-1] + 1, n - 1)])
+    return min(DEFAULT_SIZE_DEG, most)

@@ -19,7 +19,7 @@ from arfx.analyse.job import Analysis
 from arfx.analyse.light import patches
 from arfx.analyse.light.given import light_from_direction, light_from_panorama
 from arfx.analyse.light.hypotheses import LIKELY, REFUSED
-from arfx.analyse.light.photometry import LightReading, Photometry
+from arfx.analyse.light.photometry import Photometry
 from arfx.analyse.light.photometry import solve as photometry_of
 from arfx.analyse.light.shadow import edge_clue, real_shadow
 from arfx.analyse.light.static_frame import Readings, StaticFrameLight
@@ -42,7 +42,6 @@ class Reading(NamedTuple):
 # for one
 THREE_ASKED = 1.221
 UNSEEN = 0.025  # of white's light, which looks the same
-_OF_SPAN = ("verdict", "lights", "ambient_rgb", "reason")
 # cosine to the line of sight: flatter views show gloss and neighbours' light, not the print
 LEAST_FACING = 0.15
 
@@ -54,25 +53,23 @@ def solve_patches(
     albedo: ndarray,
     most_bias: ndarray | None,
     print_: ndarray,
-) -> tuple[Photometry, LightReading | None]:
-    """Bias and light out of patches, and another reading of them where prints are overexposed.
+) -> Photometry:
+    """Bias and light out of patches.
 
     A bias that is not certain is not drawn: then the light holds it, so that white looks as
     the paper does. But for what of it is beyond its doubt, by a difference that nobody sees.
     """
     found = photometry_of(
-        intensity, variance, albedo, clipped, most_bias=most_bias, print_=print_
+        intensity, variance, albedo, most_bias=most_bias, print_=print_
     )
-    other = patches.comparable(found, intensity, variance, clipped, albedo)
+    found = patches.of_one_scale(found, intensity, variance, clipped, albedo)
     sigma = np.ptp(found.bias_95, 1) / (2 * 1.96)
     of_light, unseen = found.bias / albedo.max(1), UNSEEN * np.abs(found.y)
     known = of_light * divide(found.bias**2, sigma**2 + found.bias**2)
     held = np.where(
         _certain_bias(found), 0, of_light - np.clip(known, -unseen, unseen)
     )
-    if other is not None:
-        other = replace(other, y=other.y + held)
-    return replace(found, y=found.y + held), other
+    return replace(found, y=found.y + held)
 
 
 def with_light(
@@ -81,7 +78,7 @@ def with_light(
     samples: Sequence[EnvironmentSample],
     params: LightParams,
     panorama: ndarray | None = None,
-    solve: Callable[..., tuple[Photometry, LightReading | None]] = solve_patches,
+    solve: Callable[..., Photometry] = solve_patches,
     static_frame_light: Callable[..., StaticFrameLight] = StaticFrameLight,
     changes: Mapping[int, float] = MappingProxyType({}),
     place_m: Callable[[], ndarray] = lambda: np.zeros(2),
@@ -90,7 +87,7 @@ def with_light(
     found in summary["light"].
 
     panorama : (h, w, 3) linear radiance, of LightParams.environment;  solve : bias and
-    light out of patches, as solve_patches;  changes : of the background, by frame (Readings.change)
+    light out of patches, as solve_patches;  changes : of the background, by frame
     place_m : (2,) where the object stands, anchor axes
     """
     facts, turns = analysis.facts, analysis.static == "camera"
@@ -111,24 +108,19 @@ def with_light(
     rows, even = _usable(analysis, patch_readings, static_from_world, place)
     keys = np.array([row.key for row, _ in rows], str)
     print_ = np.unique(keys, return_inverse=True)[1].ravel()
-    photometry, other = solve(
-        *patches.stack([row.cells for row, _ in rows], params.ink, params.paper),
-        np.min([s.darkest for s in samples], axis=0) if samples else None,
-        print_,
-    )
-    used = photometry.seen
+    seen = patches.stack([row.cells for row, _ in rows], params.ink, params.paper)
+    intensity, _, clipped, _ = seen
+    darkest = np.min([s.darkest for s in samples], axis=0) if samples else None
+    photometry = solve(*seen, darkest, print_)
     readings = Readings(
-        np.array([row.frame for row, _ in rows], int)[used],
-        np.reshape([normal for _, normal in rows], (-1, 3))[used],
-        print_[used],
-        (keys == analysis.anchor.key)[used],
-        [
-            replace(reading, fit=reading.fit & even).at(used)
-            for reading in (photometry.reading, other)
-            if reading is not None
-        ],
-        changes,
-    )
+        np.array([row.frame for row, _ in rows], int),
+        np.reshape([normal for _, normal in rows], (-1, 3)),
+        print_,
+        keys == analysis.anchor.key,
+        photometry.y,
+        photometry.var_y_own,
+        even,
+    )[photometry.seen]
     given = _given(params, panorama)
     out: dict[int, Light] = {}
     reports: list[tuple[int, dict[str, Any]]] = []
@@ -139,18 +131,18 @@ def with_light(
         static_from_world, lambda k: facts[k].shot if turns else 0
     ):
         frames = [*group]
-        part = static_frame_light(frames, facts, static_from_world, readings, params)
+        mine = readings[np.isin(readings.frame, frames)]
+        part = static_frame_light(
+            frames, facts, static_from_world, mine, params, changes
+        )
         if given is None:
             lights, report = part.from_markers(analysis.static != "both", samples)
         else:
             turn = static_from_world[frames[0]] @ analysis.world_from_anchor.rotation
             lights, report = part.from_given(given[0].turned(turn), *given[1:])
         out |= lights
-        ends = {"start_s": facts[frames[0]].time_s, "end_s": facts[frames[-1]].time_s}
         reports.append((len(frames), report))
-        spans += report.pop("spans", None) or [
-            ends | {k: report[k] for k in _OF_SPAN}
-        ]
+        spans += report["spans"]
     report = max(reports, key=lambda r: r[0])[1] if reports else {}
     bias = _certain_bias(photometry)
     lit = list(facts)
@@ -165,7 +157,6 @@ def with_light(
         )
     p = photometry
     known_bias = p.determined.all()
-    figures = ("rank", "unknowns", "condition", "misfit")
     summary = {
         "frames_with_real_shadow": len(shaded),
         "shadow_edge": edge_clue([*shaded.values()], corners_m),
@@ -175,14 +166,15 @@ def with_light(
         "gain": None,
         "bias": p.bias.tolist() if known_bias else None,
         "bias_ci95": p.bias_95.tolist() if known_bias else None,
-        "clipped_fraction": p.clipped,
+        "clipped_fraction": float(clipped.mean()) if len(rows) else 0.0,
         "photometry": {
             "verdict": p.verdict,
             "reason": p.reason,
-            **{name: getattr(p, name).tolist() for name in figures},
+            "condition": p.condition.tolist(),
+            "misfit": p.misfit.tolist(),
             "readings": len(p.seen),
             "readings_used": int(p.seen.sum()),
-            "not_finite": p.ignored,
+            "not_finite": int(np.isnan(intensity).any(-1).sum()),
         },
         "frame": "camera" if turns else "marker",
         **report,

@@ -27,10 +27,12 @@ from arfx.analyse.light.model import (
     turns_of,
 )
 from arfx.analyse.light.search import Samples
-from arfx.analyse.light.sphere import DEG_32, even_directions
-from arfx.core.numerics import angle_between
+from arfx.analyse.light.sphere import DEG_32
+from arfx.core.numerics import angle_between, divide
+from arfx.core.sampling import sphere
 
 MEASURED, LIKELY, REFUSED = "measured", "likely", "refused"
+LIMIT_DEG = 15.0  # widest cone that counts as measured
 LEAST_CONE_DEG = 1.0  # what lamps that are near, sizes and gloss may shift it by
 LEAST_EVIDENCE = 10.0  # BIC that one more light must gain
 MOST_OFF_DEG = 60.0  # cone of a likely light: half of it still comes from where it is thought to be
@@ -75,14 +77,12 @@ _HELD_PASSES, _ROUGH_PASSES = 12, 8
 
 @dataclass(frozen=True)
 class Params:
-    """most_lights : 0 to 2;  limit_deg : widest cone that counts as measured;  likely :
-    whether more is claimed, as likely
+    """most_lights : 0 to 2;  likely : whether more than what is measured is claimed
     gamma_sigma : standard deviation of the exponent's logarithm that a wrong transfer
     function leaves, 0 = exact
     """
 
     most_lights: int = 2
-    limit_deg: float = 15.0
     likely: bool = True
     gamma_sigma: float = 0.08
 
@@ -110,7 +110,7 @@ class Explanations:
     ) -> None:
         """start : of the same observations under other weights; its minima are followed"""
         self.params = params
-        most = max(0, min(params.most_lights, 2))
+        most = params.most_lights
         every = s.groups(params.gamma_sigma)
         some = np.linspace(0, len(every) - 1, min(len(every), MOST_GROUPS)).round()
         self.samples, self.groups = s, [every[int(i)] for i in some]
@@ -145,20 +145,15 @@ class Explanations:
     def shares(self, lights: Lights) -> tuple[ndarray, ndarray]:
         """(n, q) share of each direction's light in all that was seen; irradiance of each
         direction."""
-        amplitudes = solve(self.groups, lights).amplitudes
-        total, seen = np.zeros(len(lights)), np.zeros(lights.mix.shape[:2])
+        size = solve(self.groups, lights).amplitudes.sum(2)  # (n, g, m + 1)
+        seen = np.zeros((len(lights), size.shape[2]))
         for number, group in enumerate(self.groups):
-            size, weight = (
-                amplitudes[:, number].sum(1),
-                group.root**2,
-            )  # (n, m + 1), (k,)
             column = lights.mix @ lights.columns(group)[0]
-            seen += size[:, 1:] * (column @ weight)
-            total += size[:, 0] * weight.sum()
-        share = seen / np.maximum(total + seen.sum(1), 1e-300)[:, None]
-        of_direction = (share[:, None] @ (lights.mix > 0))[:, 0]
-        strength = (amplitudes.sum((1, 2))[:, None, 1:] @ lights.mix)[:, 0]
-        return of_direction, strength
+            every = np.insert(column, 0, 1, 1) @ group.root**2
+            seen += size[:, number] * every
+        share = divide(seen, seen.sum(1, keepdims=True))[:, None, 1:]
+        strength = size.sum(1)[:, None, 1:] @ lights.mix
+        return (share @ (lights.mix > 0))[:, 0], strength[:, 0]
 
     def _parameters(self, count: int) -> int:
         return 3 * len(self.groups) * (1 + count) + 2 * count
@@ -214,7 +209,7 @@ class Explanations:
             vector_deg = max(vector_deg, float(turned.max(initial=0.0)))
         ring, doubt = max(doubts, key=lambda d: d[0])
         cone = min(max(ring, LEAST_CONE_DEG) + slack, NO_CONE_DEG)
-        if cone <= self.params.limit_deg:
+        if cone <= LIMIT_DEG:
             return Assessment(MEASURED, cone, "")
         likely = self.params.likely and vector_deg + slack <= MOST_OFF_DEG
         cone = max(min(cone, MOST_OFF_DEG), vector_deg + slack)
@@ -259,14 +254,14 @@ class Explanations:
             np.concatenate([np.tile(soft, (n, 1)), best.soft[:, rest]], 1),
             np.tile(full, (n, 1, 1)),
         )
-        return refine(self.groups, lights, 0, _HELD_PASSES)
+        return refine(self.groups, lights, 1, _HELD_PASSES)
 
 
 def _starts(groups: Sequence[Group], most: int) -> list[Lights]:
     """By count, from a grid over the whole sphere."""
-    out, grid = [each(np.zeros((1, 0, 3)))], even_directions(DEG_32)
+    out, grid = [each(np.zeros((1, 0, 3)))], sphere(DEG_32)
     if most >= 1:
-        ones = _best(*refine(groups, each(grid[:, None]), None, _ROUGH_PASSES), _KEPT)
+        ones = _best(*refine(groups, each(grid[:, None]), 0, _ROUGH_PASSES), _KEPT)
         large = each(np.repeat(ones.dirs[:1], len(_SOFT), 0), _SOFT)
         out.append(joined([ones, large]))
     if most >= 2:
@@ -278,7 +273,7 @@ def _starts(groups: Sequence[Group], most: int) -> list[Lights]:
         out.append(
             joined(
                 [
-                    _best(*refine(groups, k, None, _ROUGH_PASSES), _KEPT)
+                    _best(*refine(groups, k, 0, _ROUGH_PASSES), _KEPT)
                     for k in (pairs, skies)
                 ]
             )

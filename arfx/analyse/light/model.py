@@ -20,6 +20,7 @@ from arfx.core.numerics import divide, normalise
 
 DOME = 1.0
 _POINT = 1e-6
+_ALL = 3  # directions of a set, at most
 _RIDGE = 1e-9  # of a column's own square
 _LONGEST_STEP = 0.35  # radians
 _STALLED = 1e-4  # of chi squared: passes that gain less are the last
@@ -73,8 +74,8 @@ class Lights:
             np.maximum(self.soft, _POINT)[..., None],
         )
         low, full = np.maximum(c + soft, 0), c >= soft
-        on = np.where(soft < DOME, group.lit, 1.0)
         shade, slope = np.where(full, c, low**2 / (4 * soft)), low / (2 * soft)
+        on = np.where(soft < DOME, group.lit, 1.0)
         return on * shade, on * np.where(full, 1, slope)
 
 
@@ -134,18 +135,16 @@ def turns_of(dirs: ndarray) -> ndarray:
     return np.stack([first, np.cross(dirs, first)], -2)
 
 
-def solve(
-    groups: Sequence[Group], lights: Lights, moved: Sequence[int] = ()
-) -> Solution:
-    """moved : numbers of the directions whose turns are asked for"""
-    n, m, moved = len(lights), lights.mix.shape[1] + 1, list(moved)
-    across = turns_of(lights.dirs[:, moved])
+def solve(groups: Sequence[Group], lights: Lights, held: int = _ALL) -> Solution:
+    """held : so many of the directions, the first ones, are not turned"""
+    n, m = len(lights), lights.mix.shape[1] + 1
+    across = turns_of(lights.dirs[:, held:])
     chi2 = np.full(n, sum(g.total for g in groups))
-    amplitudes, p = np.empty((n, len(groups), 3, m)), 2 * len(moved)
+    amplitudes, p = np.empty((n, len(groups), 3, m)), 2 * across.shape[1]
     gradient, curvature = np.zeros((n, p)), np.zeros((n, p, p))
     for number, group in enumerate(groups):
         shade, slope = lights.columns(group)
-        turned = slope[:, moved, None] * (across @ group.normals.T)
+        turned = slope[:, held:, None] * (across @ group.normals.T)
         rows = np.concatenate(
             [
                 np.ones((n, 1, len(group.normals))),
@@ -165,26 +164,23 @@ def solve(
         x, inverse = non_negative(G[..., :m, :m], h[..., :m])
         chi2 -= (x * h[..., :m]).sum((1, 2))
         amplitudes[:, number] = x
-        if p:
-            size = np.repeat(
-                (x[..., 1:] @ lights.mix)[..., moved], 2, -1
-            )  # (n, 3, p)
-            cross = G[..., m:, :m]
-            free = G[..., m:, m:] - cross @ inverse @ cross.swapaxes(2, 3)
-            left = h[..., m:] - (cross @ x[..., None])[..., 0]
-            gradient -= (size * left).sum(1)
-            curvature += (size[..., None] * size[..., None, :] * free).sum(1)
+        strength = (x[..., 1:] @ lights.mix)[..., held:]
+        size = np.repeat(strength, 2, -1)  # (n, 3, p)
+        cross = G[..., m:, :m]
+        free = G[..., m:, m:] - cross @ inverse @ cross.swapaxes(2, 3)
+        left = h[..., m:] - (cross @ x[..., None])[..., 0]
+        gradient -= (size * left).sum(1)
+        curvature += (size[..., None] * size[..., None, :] * free).sum(1)
     return Solution(np.maximum(chi2, 0), amplitudes, gradient, curvature, across)
 
 
 def refine(
-    groups: Sequence[Group], lights: Lights, held: int | None = None, passes: int = 25
+    groups: Sequence[Group], lights: Lights, held: int = 0, passes: int = 25
 ) -> tuple[Lights, ndarray]:
-    """Nearest minimum over all directions but the one with number `held`, and its chi squared
-    (n,). Levenberg-Marquardt, all sets at once."""
-    moved = [i for i in range(lights.dirs.shape[1]) if i != held]
-    now = solve(groups, lights, moved)
-    damping, p = np.full(len(lights), 1e-3), 2 * len(moved)
+    """Nearest minimum over all directions but the first `held`, and its chi squared (n,).
+    Levenberg-Marquardt, all sets at once."""
+    now = solve(groups, lights, held)
+    damping, p = np.full(len(lights), 1e-3), now.gradient.shape[1]
     dirs, chi2 = lights.dirs.copy(), now.chi2.copy()
     moving = np.arange(len(lights))
     for _ in range(passes if p else 0):
@@ -196,21 +192,18 @@ def refine(
             + 1e-9 * diagonal.max(1, keepdims=True)
             + 1e-12
         )
-        step = np.linalg.solve(
-            now.curvature + added[..., None] * np.eye(p), -now.gradient[..., None]
-        )
+        damped = now.curvature + added[..., None] * np.eye(p)
+        step = -np.linalg.solve(damped, now.gradient[..., None])
         long = np.linalg.norm(step, axis=1, keepdims=True)
         step = step * np.minimum(1, divide(_LONGEST_STEP, long, where_zero=1.0))
         turn = (step.reshape(len(moving), -1, 2, 1) * now.across).sum(2)
         trial = replace(lights[moving], dirs=dirs[moving])
-        trial.dirs[:, moved] = normalise(trial.dirs[:, moved] + turn)
-        there = solve(groups, trial, moved)
+        trial.dirs[:, held:] = normalise(trial.dirs[:, held:] + turn)
+        there = solve(groups, trial, held)
         better = there.chi2 < now.chi2
         gains = now.chi2 - there.chi2 > _STALLED * now.chi2
-        dirs[moving[better]], chi2[moving[better]] = (
-            trial.dirs[better],
-            there.chi2[better],
-        )
+        arrived = moving[better]
+        dirs[arrived], chi2[arrived] = trial.dirs[better], there.chi2[better]
         damping = np.where(better, damping / 5, damping * 6).clip(1e-9, 1e9)
         on = gains | ~better & (damping < _STUCK)
         now = Solution(
@@ -221,13 +214,3 @@ def refine(
         )
         moving, damping = moving[on], damping[on]
     return replace(lights, dirs=dirs), chi2
-
-
-def bent(groups: Sequence[Group], lights: Lights) -> float:
-    """Logarithm of the values' exponent beside one set of lights."""
-    amplitudes, exponents = solve(groups, lights).amplitudes[0], []
-    for group, size in zip(groups, amplitudes, strict=True):
-        shade = lights.mix[0] @ lights.columns(group)[0][0]
-        rest = group.value - (size[:, :1] + size[:, 1:] @ shade) * group.root
-        exponents.append((group.bend_weight * (group.bend * rest).sum(1)).mean())
-    return float(np.mean(exponents))

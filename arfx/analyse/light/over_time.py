@@ -13,7 +13,7 @@ evidence only gets less. Source: docs/methods/light.md#time."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 
 import numpy as np
@@ -22,6 +22,7 @@ from numpy import ndarray
 from arfx.analyse.light.fit import LightFit, doubted, fit
 from arfx.analyse.light.hypotheses import (
     LIKELY,
+    LIMIT_DEG,
     MEASURED,
     NO_CONE_DEG,
     REFUSED,
@@ -75,13 +76,7 @@ class _Observations:
     group: ndarray
 
     def __getitem__(self, rows: slice | ndarray) -> _Observations:
-        arrays = (
-            self.times_s,
-            self.normals,
-            self.irradiance,
-            self.variance,
-            self.group,
-        )
+        arrays = (getattr(self, f.name) for f in fields(self)[1:])
         return _Observations(self.params, *(a[rows] for a in arrays))
 
     def spans(self, windows: Sequence[tuple[int, LightFit, int]]) -> list[Span]:
@@ -117,13 +112,12 @@ class _Observations:
         where frames show several normals, lights that do not explain it are none."""
         if not found.claimed:
             return found
-        limit_deg = self.params.limit_deg
         apart = (
             np.mean(_mean_lengths(self.times_s, self.normals) < _SOMEWHAT_APART) > 0.5
         )
         if apart and found.model_error > _GOOD_ERROR:
             return _refused(found, "prints beside each other do not show one light")
-        agree_deg = limit_deg if apart else min(limit_deg, _AGREE_DEG)
+        agree_deg = LIMIT_DEG if apart else _AGREE_DEG
         first, off = found.lights[0], 0.0
         early = self.times_s <= np.median(self.times_s)
         for half in (early, ~early):
@@ -134,7 +128,7 @@ class _Observations:
         if off <= agree_deg:
             first = replace(first, confidence_deg=max(first.confidence_deg, off))
             return replace(found, lights=(first, *found.lights[1:]))
-        if off > (limit_deg if likely else agree_deg):
+        if off > (LIMIT_DEG if likely else agree_deg):
             why = (
                 "the light or the exposure changes, and no two parts of the clip agree on a"
                 " direction"
@@ -143,7 +137,7 @@ class _Observations:
         doubt = (
             f"its direction differs by {off:.0f} degrees between parts of the clip"
         )
-        first = doubted(first, max(first.confidence_deg, 2 * off), doubt)
+        first = doubted(first, max(first.confidence_deg, 2 * off))
         reason = f"{found.reason}; {doubt}"
         lights = (first, *found.lights[1:])
         return replace(found, verdict=LIKELY, reason=reason, lights=lights)
@@ -174,27 +168,20 @@ def fit_over_time(
     seen = _Observations(
         params, times_s, normals, irradiance, variance, np.zeros(len(times_s), int)
     )[order]
-    constant = seen.fit()
+    constant = refusal = seen.fit()
     if seen.steady(constant):
         return CONSTANT, seen.spans([(0, constant, 0)])
     segments = window_starts(seen.times_s, breaks_s)
-    refusal, shared, switched = constant, None, _switched(seen, segments)
-    if switched is not None:
-        _, found, _ = switched
-        if found.verdict == MEASURED or len(found.lights) == 1:
-            shared = switched
-    for name, starts in (
-        (SEGMENTS, segments),
-        (SHARED, window_starts(seen.times_s, breaks_s, LONGEST_WINDOW_S)),
-    ):
-        if shared is not None:
-            break
-        if name == SHARED:
-            pumped = _exposure_drift_fit(seen)
-            if pumped is not None and pumped.model_error <= _GOOD_ERROR:
-                return SHARED, seen.spans([(0, pumped, 0)])
-        elif len(starts) < 2:
+    held = [_switched(seen, segments)]
+    sure = held[0] is not None and (
+        held[0][1].verdict == MEASURED or len(held[0][1].lights) == 1
+    )
+    for name, longest_s in (SEGMENTS, np.inf), (SHARED, LONGEST_WINDOW_S):
+        starts = window_starts(seen.times_s, breaks_s, longest_s)
+        if sure or (name == SEGMENTS and len(starts) < 2):
             continue
+        if name == SHARED and (pumped := _exposure_drift_fit(seen)) is not None:
+            return SHARED, seen.spans([(0, pumped, 0)])
         grouped = seen.grouped(starts)
         found = grouped.fit()
         if found.model_error <= _GOOD_ERROR < refusal.model_error:
@@ -205,10 +192,12 @@ def fit_over_time(
             found = grouped.confirmed(found)
         if found.claimed:
             windows = [(start, found, group) for group, start in enumerate(starts)]
-            shared = name, found, seen.spans(windows)
-    held = [h for h in (switched, shared) if h is not None]
+            held.append((name, found, seen.spans(windows)))
+            break
     shared = min(
-        held, key=lambda h: (h[1].verdict != MEASURED, len(h[1].lights)), default=None
+        (h for h in held if h is not None),
+        key=lambda h: (h[1].verdict != MEASURED, len(h[1].lights)),
+        default=None,
     )
     if shared is not None and len(shared[1].lights) == 1:
         return shared[0], shared[2]
@@ -318,7 +307,8 @@ def _exposure_drift_fit(seen: _Observations) -> LightFit | None:
         g = matched(frame, found.irradiance(n).mean(1), E.mean(1))[frame]
         if not (g > 1e-3).all():
             return None
-    if drift(seen.times_s, n, E / g[:, None]) > _MOST_DRIFT:
+    off = drift(seen.times_s, n, E / g[:, None])
+    if found.model_error > _GOOD_ERROR or off > _MOST_DRIFT:
         return None
     soft = (
         replace(li, confidence_deg=NO_CONE_DEG, verdict=REFUSED)
@@ -331,7 +321,7 @@ def drift(
     times_s: ndarray,
     normals: ndarray,
     irradiance: ndarray,
-    group: ndarray | None = None,
+    group: ndarray | int = 0,
 ) -> float:
     """Root mean square over time, relative to the level, of how normals differ from
     themselves at other times of a group.
@@ -339,13 +329,12 @@ def drift(
     times_s : (k,);  normals, irradiance : (k, 3);  group : (k,) int. Means of a quarter of
     a second, so that noise is little.
     """
-    light = np.asarray(irradiance, float).mean(1)
-    level = float(np.percentile(light, 90)) if len(light) else 0.0
+    light = irradiance.mean(1)
+    level = np.percentile(light, 90)
     if level <= 0:
         return 0.0
     H = harmonics(normals)  # slope within a cell taken out
     off = (light - H @ np.linalg.lstsq(H, light, rcond=1e-6)[0]) / level
-    group = np.zeros(len(light), int) if group is None else group
     cell = np.unique(
         group * DEG_4 + nearest_cell(normals, DEG_4), return_inverse=True
     )[1]
@@ -369,7 +358,7 @@ def gains(times_s: ndarray, normals: ndarray, irradiance: ndarray) -> ndarray | 
     if np.mean(_mean_lengths(times_s, normals) < _APART) < _LEAST_FRAMES:
         return None
     frame = np.unique(times_s, return_inverse=True)[1]
-    light, H = np.asarray(irradiance, float).mean(1), harmonics(normals)
+    light, H = irradiance.mean(1), harmonics(normals)
     g = np.ones(frame.max() + 1)
     for _ in range(_PASSES):
         model = H @ np.linalg.lstsq(g[frame, None] * H, light, rcond=1e-6)[0]

@@ -1,8 +1,8 @@
 """A print as a light meter: robust means of a marker's black and white cells, or of a
 pattern's dark and bright ones, in one frame, in linear light.
 
-What biases a mean beyond its noise goes into its variance. `comparable` gives a fit readings
-of one kind where prints are partly overexposed.
+What biases a mean beyond its noise goes into its variance. `of_one_scale` reads overexposed
+prints by their ink.
 Source: Tan, Chen, Sun 2009, section 2.1; docs/methods/light.md#meter. Cost: about 1 ms for
 a marker of 270 px.
 """
@@ -17,7 +17,6 @@ from numpy import ndarray
 
 from arfx.analyse.light.photometry import (
     UNKNOWN_VARIANCE,
-    LightReading,
     Photometry,
     bright_patches,
     weighted,
@@ -36,7 +35,9 @@ OUT = 3.5  # robust standard deviations beyond which a sample is no part of its 
 # share of a reading's paper samples that are clipped, from which the paper says nothing
 # exact
 OVEREXPOSED = 0.02
-FEW = 0.15  # of the readings: so many spoilt ones can be left out
+FEWEST_BOTH = (
+    10  # readings that show ink and paper, to bring one to the other's scale
+)
 _GAMMA = 2.2  # about the slope of the transfer function
 # cells along a pattern's side; how many of a quarter's are its bright ones, and its dark ones
 GRID, CHOSEN = 10, 8
@@ -107,30 +108,27 @@ def pattern_meter(
     if soft:
         seen = cv2.GaussianBlur(seen, (0, 0), soft, borderType=cv2.BORDER_REPLICATE)
     map_ = ink + (paper - ink) * seen.astype(float)
-    # by quarter and cell of it: (quarter, cell, points, channel)
-    split = map_.reshape(2, half, FINE, 2, half, FINE, 3).transpose(
-        0, 3, 1, 4, 2, 5, 6
-    )
-    quarters = split.reshape(4, half**2, FINE**2, 3)
-    grey = quarters.mean(-1)
-    level, rough = grey.mean(-1), ROUGH * grey.std(-1)
-    chosen, albedo = np.full((4, half**2), -1, np.int8), np.zeros((PATCHES, 3))
-    scale, row = np.ones(quarters.shape), np.arange(4)[:, None]
-    for white, order in enumerate(
-        np.split(np.argsort(level, 1, "stable"), [half**2 // 2], 1)
-    ):
-        score = np.take_along_axis((2 * white - 1) * level - rough, order, 1)
-        first = np.argsort(-score, 1, "stable")[:, :CHOSEN]
-        best = np.take_along_axis(order, first, 1)
-        mean = 1 / (1 / quarters[row, best]).mean((1, 2))
-        chosen[row, best] = white
-        scale[row, best] = mean[:, None, None] / quarters[row, best]
-        albedo[4 * white : 4 * white + 4] = mean
-    cells = chosen.reshape(2, 2, half, half).transpose(0, 2, 1, 3).reshape(GRID, GRID)
-    over = scale.reshape(2, 2, half, half, FINE, FINE, 3).transpose(
-        0, 2, 4, 1, 3, 5, 6
-    )
-    return Meter(cells, albedo, over.reshape(size, size, 3).astype(np.float32))
+    # by row and column of the cells: (row, column, point, point, channel)
+    albedos = map_.reshape(GRID, FINE, GRID, FINE, 3).swapaxes(1, 2)
+    grey = albedos.mean(-1)
+    level, rough = grey.mean((2, 3)), ROUGH * grey.std((2, 3))
+    cells, scale = np.full((GRID, GRID), -1, np.int8), np.ones(albedos.shape)
+    albedo = np.zeros((PATCHES, 3))
+    for quarter, corner in enumerate(np.ndindex(2, 2)):
+        rows, columns = (
+            np.indices((half, half)).reshape(2, -1) + half * np.array(corner)[:, None]
+        )
+        order = np.argsort(level[rows, columns], kind="stable")
+        for white, some in enumerate(np.split(order, [half**2 // 2])):
+            places = rows[some], columns[some]
+            score = (2 * white - 1) * level[places] - rough[places]
+            chosen = some[np.argsort(-score, kind="stable")[:CHOSEN]]
+            best = rows[chosen], columns[chosen]
+            mean = 1 / (1 / albedos[best]).mean((0, 1, 2))
+            cells[best], scale[best] = white, mean / albedos[best]
+            albedo[4 * white + quarter] = mean
+    over = scale.swapaxes(1, 2).reshape(size, size, 3)
+    return Meter(cells, albedo, over.astype(np.float32))
 
 
 def read_print(
@@ -159,9 +157,10 @@ def read_print(
     patch = np.where(cells < 0, PATCHES, 4 * cells + 2 * low[:, None] + low)
     usable = np.isfinite(value).all(-1) & ~seen.clipped
     mean, spread, count = _robust_means(value, usable, patch)
-    of_patch = patch == np.arange(PATCHES)[:, None, None]
-    cut = (of_patch * seen.clipped.sum(-1)).sum((1, 2))
-    either = (of_patch * (usable | seen.clipped).sum(-1)).sum((1, 2))
+    cut, either = (
+        np.bincount(patch.ravel(), of_cell.sum(-1).ravel(), PATCHES + 1)[:PATCHES]
+        for of_cell in (seen.clipped, usable | seen.clipped)
+    )
     clipped = cut / np.maximum(either, 1)
     variance = _uncertainty(mean, spread, count, clipped, seen)
     bright = usable & (cells == 1)[..., None]
@@ -291,26 +290,33 @@ def stack(
     return intensity, variance, clipped, np.reshape(albedos, intensity.shape)
 
 
-def comparable(
+def of_one_scale(
     p: Photometry,
     intensity: ndarray,
     variance: ndarray,
     clipped: ndarray,
     albedo: ndarray,
-) -> LightReading | None:
-    """Readings of one kind where p's are not, None = they are. Arguments as for `solve`.
+) -> Photometry:
+    """p, with overexposed readings by their ink. It is brought to the paper's scale, which ink
+    of another albedo does not have, by the readings that show both; where they are too few,
+    all are read by their ink. Arguments as for `solve`.
 
     albedo : (t, p, 3)"""
     overexposed = p.seen & (clipped[:, WHITE].sum(1) > OVEREXPOSED * WHITE.sum())
-    few = overexposed.sum() <= FEW * p.seen.sum()
-    if not overexposed.any() or (few and not p.determined.all()):
-        return None
-    if few:
-        return replace(p.reading, fit=p.seen & ~overexposed)
-    # by the ink alone
-    channels, _ = weighted(intensity - p.bias, variance, albedo)
-    ink = [bright_patches(grey, w * ~WHITE, rho, "", 0) for grey, w, rho in channels]
+    if not overexposed.any():
+        return p
+    channels = weighted(intensity - p.bias, variance, albedo)
+    ink = [bright_patches(grey, w * ~WHITE, rho, "") for grey, w, rho in channels]
     y, own = np.stack([part[:2] for part in ink], -1)
     known = p.seen & (own < UNKNOWN_VARIANCE).all(1)
-    own = np.where(known[:, None], own * p.misfit**2, p.var_y_own)
-    return LightReading(np.where(known[:, None], y, p.y), own, known)
+    both = known & ~overexposed
+    if both.sum() >= FEWEST_BOTH:
+        pairs = zip(y[both].T, p.y[both].T, strict=True)
+        slope, offset = np.transpose([np.polyfit(*pair, 1) for pair in pairs])
+        y, own, known = slope * y + offset, slope**2 * own, known & overexposed
+    rows = known[:, None]
+    return replace(
+        p,
+        y=np.where(rows, y, p.y),
+        var_y_own=np.where(rows, own * p.misfit**2, p.var_y_own),
+    )

@@ -8,8 +8,6 @@ Source: Tan, Chen, Sun 2009, eq. (2), (4) to (6); docs/methods/light.md#bias. Co
 frames about .25 s.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -44,28 +42,12 @@ _HUBER, _PASSES = 1.345, 25
 _NORMAL_95 = 1.96
 
 
-@dataclass(frozen=True, eq=False)
-class LightReading:
-    """y, variance : (k, 3) radiance of a white surface, and its variance;  fit : (k,) bool,
-    readings of one kind, for a fit over normals
-    """
-
-    y: ndarray
-    variance: ndarray
-    fit: ndarray
-
-    def at(self, rows: ndarray) -> LightReading:
-        return LightReading(self.y[rows], self.variance[rows], self.fit[rows])
-
-
 class Channel(NamedTuple):
     """One channel of a Photometry; why : its bias is assumed, "" = it is not."""
 
     y: ndarray
     var_y_own: ndarray
     seen: ndarray
-    rank: int
-    unknowns: int
     condition: float
     why: str = ""
     bias: float = 0.0
@@ -84,27 +66,21 @@ class Photometry:
     bring it below 0
     var_y_own : (t, 3) its variance without that of the bias, whose error is shared by all frames
     seen : (t,) False where nothing was usable (y 0, variance UNKNOWN_VARIANCE)
-    rank, unknowns : (3,) of the linear system;  condition : (3,) of its columns scaled to
-    length 1, at most 1e12;  why : (3,) a channel's bias is
-    assumed
+    condition : (3,) of the linear system, its columns scaled to length 1, at most 1e12
+    why : (3,) a channel's bias is assumed
     bias : (3,);  bias_95 : (3, 2) interval, the
     tolerances included
-    misfit : (3,) residuals in units of their stated deviations;  clipped : share of
-    samples;  ignored : patches not finite
+    misfit : (3,) residuals in units of their stated deviations
     """
 
     y: ndarray
     var_y_own: ndarray
     seen: ndarray
-    rank: ndarray
-    unknowns: ndarray
     condition: ndarray
     why: ndarray
     bias: ndarray
     bias_95: ndarray
     misfit: ndarray
-    clipped: float
-    ignored: int
 
     @property
     def determined(self) -> ndarray:
@@ -124,10 +100,6 @@ class Photometry:
         return (
             f"{channels}: {why}; bias 0 assumed, light from the bright patches alone"
         )
-
-    @property
-    def reading(self) -> LightReading:
-        return LightReading(self.y, self.var_y_own, self.seen)
 
 
 class Tolerances(NamedTuple):
@@ -153,36 +125,33 @@ def solve(
     intensity: ndarray,
     variance: ndarray | None,
     albedo: ndarray,
-    clipped: ndarray | None = None,
     tolerances: Tolerances = USUAL,
     most_bias: ndarray | None = None,
     print_: ndarray | None = None,
 ) -> Photometry:
     """intensity : (t, p, 3) linear, NaN = not measured;  variance : (t, p, 3) or None =
     equal and unknown
-    albedo : (p,), (t, p) or (t, p, 3);  clipped : (t, p) shares, for the report
-    tolerances : go into bias_95
+    albedo : (p,), (t, p) or (t, p, 3);  tolerances : go into bias_95
     most_bias : (3,) what the clip's darkest pixels show: no black level is above it
     print_ : (t,) int, which was seen, None = one: inks differ"""
-    channels, ignored = weighted(intensity, variance, albedo)
+    channels = weighted(intensity, variance, albedo)
     known = variance is not None
     which = np.zeros(len(intensity), int) if print_ is None else print_
     parts = [_solve_channel(*c, which, known, tolerances) for c in channels]
     bias = np.array([p.bias for p in parts])
     if most_bias is not None and (bias > most_bias).any():
         parts = [  # then no channel's is the camera's
-            bright_patches(*c, TOO_BRIGHT, p.rank, p.condition)
+            bright_patches(*c, TOO_BRIGHT, p.condition)
             for c, p in zip(channels, parts, strict=True)
         ]
-    return assemble(parts, clipped, ignored)
+    return assemble(parts)
 
 
 def weighted(
     intensity: ndarray, variance: ndarray | None, albedo: ndarray
-) -> tuple[list[tuple[ndarray, ndarray, ndarray]], int]:
-    """([values, 0 where not usable; inverse variances, 0 = not usable, else 1 if unknown;
-    albedos: each (t, p)] by channel, number of patches that are not finite). Arguments as
-    for `solve`.
+) -> list[tuple[ndarray, ndarray, ndarray]]:
+    """[values, 0 where not usable; inverse variances, 0 = not usable, else 1 if unknown;
+    albedos: each (t, p)] by channel. Arguments as for `solve`.
     """
     value, rho = np.asarray(intensity, float), np.asarray(albedo, float)
     rho = np.broadcast_to(rho if rho.ndim == 3 else rho[..., None], value.shape)
@@ -193,26 +162,13 @@ def weighted(
     weight = divide(1.0, np.maximum(v, max(1e-4 * usual, 1e-18)))
     arrays = np.where(fine, value, 0.0), np.where(fine, weight, 0.0), rho
     by_channel = (np.moveaxis(a, -1, 0) for a in arrays)
-    ignored = int((~np.isfinite(value)).any(-1).sum())
-    return list(zip(*by_channel, strict=True)), ignored
+    return list(zip(*by_channel, strict=True))
 
 
-def assemble(
-    parts: Sequence[Channel], clipped: ndarray | None, ignored: int
-) -> Photometry:
+def assemble(parts: Sequence[Channel]) -> Photometry:
     """A Photometry of the channels' results."""
-    columns = {
-        name: np.array(column)
-        for name, column in zip(
-            Channel._fields, zip(*parts, strict=True), strict=True
-        )
-    }
-    columns |= {"y": columns["y"].T, "var_y_own": columns["var_y_own"].T}
-    columns["seen"] = np.asarray(columns["seen"].any(0))
-    share = (
-        float(np.mean(clipped)) if clipped is not None and np.size(clipped) else 0.0
-    )
-    return Photometry(**columns, clipped=share, ignored=ignored)
+    y, own, seen, *rest = map(np.array, zip(*parts, strict=True))
+    return Photometry(y.T, own.T, np.asarray(seen.any(0)), *rest)
 
 
 def bright_patches(
@@ -220,7 +176,6 @@ def bright_patches(
     w: ndarray,
     rho: ndarray,
     why: str,
-    rank: int,
     condition: float = MOST_CONDITION,
 ) -> Channel:
     """Bias 0 assumed; light from the brightest albedo's patches, of a frame's others where
@@ -232,7 +187,7 @@ def bright_patches(
     information = (take * rho * rho).sum(1)
     y = divide((take * rho * grey).sum(1), information)
     own = divide(1.0, information, where_zero=UNKNOWN_VARIANCE)
-    return Channel(y, own, seen, rank, int(seen.sum()) + 1, condition, why)
+    return Channel(y, own, seen, condition, why)
 
 
 def _solve_channel(
@@ -251,10 +206,10 @@ def _solve_channel(
     """
     usable = w0 > 0
     seen = np.asarray(usable.any(1))
-    count, unknowns = int(usable.sum()), int(seen.sum()) + 1
-    spare = count - unknowns
+    count = int(usable.sum())
+    spare = count - int(seen.sum()) - 1
     if not count:
-        return bright_patches(grey, w0, rho, UNUSABLE, 0)
+        return bright_patches(grey, w0, rho, UNUSABLE)
     w = w0
     for i in range(_PASSES):
         inverse = divide(1.0, (w * rho * rho).sum(1))
@@ -263,7 +218,7 @@ def _solve_channel(
         fraction = remaining / max(float(w.sum()), 1e-300)
         if fraction < LEAST_FRACTION:
             why = "all usable patches have one albedo"
-            return bright_patches(grey, w0, rho, why, unknowns - 1)
+            return bright_patches(grey, w0, rho, why)
         b = float((w * of_bias * grey).sum()) / remaining
         y = (w * rho * (grey - b)).sum(1) * inverse
         residual = grey - rho * y[:, None] - b
@@ -290,10 +245,10 @@ def _solve_channel(
             f"no light, or albedos too alike: the bias would be uncertain by {half:.2g} at a"
             f" level of {max(level, 0):.2g}"
         )
-        return bright_patches(grey, w0, rho, why, unknowns, condition)
+        return bright_patches(grey, w0, rho, why, condition)
     if np.median(y[seen]) * np.abs(rho).max() < LEAST_CONTRAST * level:
         why = "bright and dark cells look alike, or dark ones are brighter"
-        return bright_patches(grey, w0, rho, why, unknowns, condition)
+        return bright_patches(grey, w0, rho, why, condition)
     dark = rho < (rho.min(1, keepdims=True) + rho.max(1, keepdims=True)) / 2
     ink_level = max(float(np.median(grey[dark & usable])), 0.0031)
     # of sRGB, of which all curves are near enough
@@ -317,8 +272,6 @@ def _solve_channel(
         np.where(seen, y - (w * rho).sum(1) * inverse * glare, 0.0),
         np.where(seen, scale**2 * inverse, UNKNOWN_VARIANCE),
         seen,
-        unknowns,
-        unknowns,
         condition,
         "",
         b,

@@ -8,7 +8,7 @@ from numpy import ndarray
 
 from arfx.analyse.light.model import Group
 from arfx.analyse.light.sphere import DEG_4, DEG_16, nearest_cell
-from arfx.core.numerics import condition, divide
+from arfx.core.numerics import condition, divide, normalise
 
 # apart: what is averaged, and what shares one systematic error
 FINE, COARSE = DEG_4, DEG_16
@@ -73,13 +73,13 @@ class Samples:
 def gather(
     normals: ndarray,
     irradiance: ndarray,
-    variance: ndarray | None,
-    group: ndarray | None,
+    variance: ndarray | float,
+    group: ndarray | int,
     model_error: float,
     lit: ndarray | None = None,
 ) -> Samples | None:
-    """None where nothing is usable. normals (k, 3), irradiance (k, 3), variance (k, 3) or
-    what broadcasts, group (k,) int.
+    """None where nothing is known. normals (k, 3), irradiance (k, 3), variance (k, 3),
+    group (k,) int, or what broadcasts: all finite.
 
     model_error : systematic error of the irradiance relative to its bright level. It is one
     and the same within a coarse
@@ -87,21 +87,14 @@ def gather(
     lit : (g,) share of the lamps that is on in each group; then all groups are one, with
     the same light
     """
-    n, E = (np.asarray(a, float).reshape(-1, 3) for a in (normals, irradiance))
-    v = np.broadcast_to(
-        np.asarray(0 if variance is None else variance, float), E.shape
+    v, g = (
+        np.broadcast_to(variance, irradiance.shape),
+        np.broadcast_to(group, len(normals)),
     )
-    g = (
-        np.zeros(len(n), int)
-        if group is None
-        else np.asarray(group).ravel().astype(int)
-    )
-    fine = np.isfinite(n).all(1) & np.isfinite(E).all(1) & np.isfinite(v).all(1)
-    length = np.linalg.norm(np.where(fine[:, None], n, 0), axis=1)
-    fine &= (length > 0.5) & ((v >= 0) & (v < _UNUSABLE)).all(1)
-    if not fine.any():
+    known = (v < _UNUSABLE).all(1)
+    if not known.any():
         return None
-    n, E, v, g = n[fine] / length[fine, None], E[fine], v[fine], g[fine]
+    n, E, v, g = normalise(normals[known]), irradiance[known], v[known], g[known]
     scale = np.percentile(E, 90, axis=0)
     scale = np.maximum(scale, max(1e-3 * float(scale.max()), 1e-12))
     E, v = E / scale, (v / scale**2).mean(1)
@@ -123,10 +116,7 @@ def gather(
     effective = 3 * float(((V + floor + 1e-300) / (V + many * floor + 1e-300)).sum())
     starts, on = np.searchsorted(groups, np.arange(groups.max() + 2)), np.ones(len(N))
     if lit is not None:
-        starts, on = (
-            np.array([0, len(N)]),
-            np.asarray(lit, float)[np.unique(g)[groups]],
-        )
+        starts, on = np.array([0, len(N)]), lit[np.unique(g)[groups]]
     return Samples(N, X, 1 / variance_of_mean, starts, scale, effective, on)
 
 

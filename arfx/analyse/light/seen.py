@@ -17,21 +17,24 @@ docs/methods/gi.md#environment; the radius: plane sweep (Collins 1996), with sph
 out: things at several distances, people who walk through. Cost: some 10 ms for a snapshot, some
 30 ms for a shot's radius."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy import ndarray
 
-from arfx.analyse.light.surroundings import from_panorama, turned
+from arfx.analyse.light.surroundings import (
+    PANORAMA_PX,
+    camera_axes,
+    from_panorama,
+    turned,
+)
 from arfx.core.camera import Camera
-from arfx.core.cube import SeenEnvironment, face_directions, resampled
+from arfx.core.cube import CubeMap, SeenEnvironment, face_directions, resampled
 from arfx.core.facts import FrameFacts
+from arfx.core.light import Light
 from arfx.core.numerics import divide, smoothstep
 
 FACE_PX = 64  # of a map
@@ -72,11 +75,11 @@ LAMP = (0.75, 0.95)  # linear light from which they are partly and wholly
 
 class Snapshot(NamedTuple):
     """A small picture of one frame. picture : (h, w, 3) float16 or float32, linear
-    darkest : (3,) linear light of the frame's darkest hundredth"""
+    darkest : (3,) linear light of the frame's darkest hundredth, channel by channel"""
 
     frame: int
     picture: ndarray
-    darkest: ndarray
+    darkest: ndarray = np.zeros(3)
 
 
 Seen = tuple[
@@ -100,7 +103,7 @@ def with_seen(
         f = facts[snapshot.frame]
         if f.camera_from_world is not None and f.light is not None:
             by_shot.setdefault(f.shot, []).append(
-                _Posed.of(snapshot, f, camera, still_camera, centre_m)
+                _Posed(snapshot, f, f.light, camera, still_camera, centre_m)
             )
     maps: dict[str, ndarray] = {}
     keys: dict[int, tuple[ndarray, list[str]]] = {}
@@ -121,17 +124,10 @@ def with_seen(
             times, names = keys[f.shot]
             place = np.interp(f.time_s, times, np.arange(len(times)))
             k = min(int(place), len(names) - 1)
-            axes = (
-                tuple(f.camera_from_world.rotation.ravel().tolist())
-                if still_camera
-                else None
-            )
             pair = names[k], names[min(k + 1, len(names) - 1)]
-            f = f.with_(
-                seen_environment=SeenEnvironment(
-                    pair, round(float(place - k), 4), axes
-                )
-            )
+            axes = camera_axes(f) if still_camera else None
+            between = SeenEnvironment(pair, round(float(place - k), 4), axes)
+            f = f.with_(seen_environment=between)
         out.append(f)
     return tuple(out), maps
 
@@ -139,22 +135,26 @@ def with_seen(
 def given_everywhere(
     facts: Sequence[FrameFacts], panorama: ndarray, world_from_anchor: ndarray
 ) -> Seen:
-    """The same of a picture of all surroundings, as surroundings.from_panorama takes it.
+    """The same, and `environment`, of a picture of all surroundings, as
+    surroundings.from_panorama takes it.
 
     world_from_anchor : (3, 3)
     """
-    faces = turned(from_panorama(panorama, FACE_PX), np.asarray(world_from_anchor).T)
+    small, faces = (
+        turned(from_panorama(panorama, size), world_from_anchor.T)
+        for size in (PANORAMA_PX, FACE_PX)
+    )
     faces = np.clip(divide(faces, faces.mean()), 0, 6e4)  # its scale means nothing
     maps: dict[str, ndarray] = {}
     name = _named(np.concatenate([faces, np.ones_like(faces[..., :1])], -1), maps)
-    seen = SeenEnvironment((name, name), 0.0)
-    return (
-        tuple(
-            f if f.camera_from_world is None else f.with_(seen_environment=seen)
-            for f in facts
-        ),
-        maps,
+    seen, given = SeenEnvironment((name, name), 0.0), CubeMap.of(small)
+    lit = (
+        f
+        if f.camera_from_world is None
+        else f.with_(environment=given, seen_environment=seen)
+        for f in facts
     )
+    return tuple(lit), maps
 
 
 def _named(rgba: ndarray, maps: dict[str, ndarray]) -> str:
@@ -164,48 +164,34 @@ def _named(rgba: ndarray, maps: dict[str, ndarray]) -> str:
     return name
 
 
-@dataclass(frozen=True, eq=False)
 class _Posed:
-    """A snapshot in the axes at rest. camera_from_static : rotation (3, 3);  centre_m : the
-    anchor, camera axes
-    picture : (h, w, 3) float32, without the camera's bias, over `level` (3,);  lamps :
-    directions, axes at rest
+    """A snapshot in the axes at rest.
+
+    camera_from_static : rotation (3, 3);  centre_m : the anchor, camera axes
+    picture : (h, w, 3) float32, without the camera's bias, over `level` (3,);  lamps : (n,
+    3) directions, axes at rest
     """
 
-    time_s: float
-    picture: ndarray
-    level: ndarray
-    camera: Camera
-    camera_from_static: ndarray
-    centre_m: ndarray
-    lamps: tuple[ndarray, ...]
-
-    @staticmethod
-    def of(
+    def __init__(
+        self,
         snapshot: Snapshot,
         f: FrameFacts,
+        light: Light,
         camera: Camera,
         still_camera: bool,
         centre_m: ndarray,
-    ) -> _Posed:
-        pose, light = f.pose, f.light
-        assert light is not None
-        static, rotation = np.eye(3), pose.rotation
+    ) -> None:
+        """centre_m : the anchor, WORLD"""
+        self.time_s, self.camera, self.level = f.time_s, camera, light.mean_radiance
+        self.centre_m = f.pose.apply(centre_m)
+        static, self.camera_from_static = np.eye(3), f.pose.rotation
         if still_camera:
-            static, rotation = rotation, static
-        level = light.mean_radiance
-        shown = np.clip(
-            snapshot.picture.astype(np.float32) - np.array(f.bias_rgb), 0, None
-        )
-        return _Posed(
-            f.time_s,
-            divide(shown, level).astype(np.float32),
-            level,
-            camera,
-            rotation,
-            pose.apply(centre_m),
-            tuple(static @ li.unit for li in light.lights),
-        )
+            static, self.camera_from_static = self.camera_from_static, static
+        lamps = [static @ li.unit for li in light.lights]
+        self.lamps = np.reshape(lamps, (-1, 3))
+        shown = snapshot.picture.astype(np.float32) - np.array(f.bias_rgb)
+        shares = divide(np.clip(shown, 0, None), self.level)
+        self.picture = shares.astype(np.float32)
 
     def seen(
         self, directions: ndarray, inverse_radius: float
@@ -225,40 +211,23 @@ class _Posed:
         border = cv2.BORDER_REPLICATE
         found = cv2.remap(self.picture, x, y, cv2.INTER_LINEAR, borderMode=border)
         rgb, weight = found.reshape(-1, 3), smoothstep(inside)
-        for lamp in self.lamps:
-            bright = smoothstep(
-                ((rgb * self.level).max(1) - LAMP[0]) / (LAMP[1] - LAMP[0])
-            )
-            weight = weight * (
-                1 - bright * (directions @ lamp > np.cos(np.radians(LAMP_DEG)))
-            )
-        return rgb, weight
+        bright = ((rgb * self.level).max(1) - LAMP[0]) / (LAMP[1] - LAMP[0])
+        at_lamp = directions @ self.lamps.T > np.cos(np.radians(LAMP_DEG))
+        return rgb, weight * (1 - smoothstep(bright) * at_lamp.any(1))
 
 
 def _inverse_radius(snapshots: Sequence[_Posed], up: ndarray) -> float:
     """1/m: that of NEARNESSES with which the snapshots agree best on what is above the plane;
     the farthest of those as good.
     """
-    chosen = [
-        snapshots[i]
-        for i in np.unique(
-            np.linspace(0, len(snapshots) - 1, SWEEP_LOOKS).astype(int)
-        )
-    ]
+    some = np.unique(np.linspace(0, len(snapshots) - 1, SWEEP_LOOKS).astype(int))
     d = face_directions(SWEEP_PX).reshape(-1, 3)
     d = d[d @ up > 0]
-    distance_m = float(
-        np.mean([np.linalg.norm(snapshot.centre_m) for snapshot in snapshots])
-    )
-    cost, inverse = [], np.array(NEARNESSES) / max(distance_m, 1e-9)
+    distances_m = np.linalg.norm([s.centre_m for s in snapshots], axis=1)
+    cost, inverse = [], np.array(NEARNESSES) / max(distances_m.mean(), 1e-9)
     for inverse_radius in inverse:
-        rgb, weight = map(
-            np.array,
-            zip(
-                *(snapshot.seen(d, inverse_radius) for snapshot in chosen),
-                strict=True,
-            ),
-        )
+        seen = [snapshots[i].seen(d, inverse_radius) for i in some]
+        rgb, weight = map(np.array, zip(*seen, strict=True))
         total, weights = weight.sum(0), weight[..., None]
         # as it looks: a lamp does not outweigh the room
         first = (weights * np.sqrt(rgb)).sum(0)

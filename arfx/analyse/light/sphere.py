@@ -1,4 +1,4 @@
-"""Directions in even steps over the whole sphere."""
+"""Cells of directions in even steps over the whole sphere."""
 
 from functools import lru_cache
 from typing import Any
@@ -14,21 +14,13 @@ DEG_32, DEG_16, DEG_8, DEG_4 = 42, 162, 642, 2562
 
 
 @lru_cache(maxsize=8)
-def even_directions(count: int) -> ndarray:
-    """(count, 3) unit vectors of `sphere`. Read-only."""
-    out = sphere(count)
-    out.setflags(write=False)
-    return out
-
-
-@lru_cache(maxsize=8)
 def _tree(count: int) -> Any:
     from scipy.spatial import cKDTree
 
-    return cKDTree(even_directions(count))
+    return cKDTree(sphere(count))
 
 
 def nearest_cell(directions: ndarray, count: int) -> ndarray:
-    """(...) which of `even_directions(count)` is nearest to (..., 3), of any finite length
+    """(...) which of `sphere(count)` is nearest to (..., 3), of any finite length
     above 0."""
     return np.asarray(_tree(count).query(normalise(np.asarray(directions, float)))[1])

@@ -139,7 +139,7 @@ class EnvironmentSample:
     """One frame's surroundings. frame : its number;  cube : (6, n, n, 3) radiance, CAMERA
     axes (`cube_from_picture`)
     plane : (3,) radiance beside the marker, as seen
-    darkest : (3,) linear light of the picture's darkest hundredth"""
+    darkest : of `seen.Snapshot`"""
 
     frame: int
     cube: ndarray
@@ -155,8 +155,7 @@ def environment_sample(
     darkest: ndarray,
 ) -> EnvironmentSample:
     """picture : (h, w, 3) linear, at least 3 x 3, of the whole frame, made smaller;  quad :
-    (4, 2) a marker's corners in the frame's pixels;  width : of the frame;  darkest : of
-    EnvironmentSample
+    (4, 2) a marker's corners in the frame's pixels;  width : of the frame
     """
     quad = (quad + 0.5) * (picture.shape[1] / width) - 0.5
     middle = quad.mean(0)
@@ -264,46 +263,36 @@ def with_environment(
     facts: Sequence[FrameFacts],
     samples: Sequence[EnvironmentSample],
     still_camera: bool,
-    panorama: ndarray | None,
-    world_from_anchor: ndarray,
 ) -> tuple[FrameFacts, ...]:
     """The facts with `environment` in every frame that has a pose and a look in its shot.
 
-    still_camera : the static frame is the camera's, else the world's;  world_from_anchor : (3, 3)
+    samples : of frames with a pose;  still_camera : the static frame is the camera's, else
+    the world's
     """
     # is no light
-    bias = np.array(
-        next((f.bias_rgb for f in facts if f.light is not None), (0.0,) * 3)
-    )
+    bias = np.array(next((f.bias_rgb for f in facts if f.light), (0.0,) * 3))
     seen: dict[int, list[EnvironmentSample]] = {}
-    whole: dict[int, CubeMap] = {}
     for sample in samples:
-        if facts[sample.frame].camera_from_world is not None:
-            seen.setdefault(facts[sample.frame].shot, []).append(sample)
-    if panorama is not None:
-        faces = from_panorama(panorama, PANORAMA_PX)
-        given = CubeMap.of(turned(faces, np.asarray(world_from_anchor).T), None, None)
-        whole, still_camera = dict.fromkeys((f.shot for f in facts), given), False
-    else:
-        for shot, looks in seen.items():
-            cubes = [np.clip(look.cube - bias, 0, None) for look in looks]
-            if not still_camera:
-                turns = (facts[look.frame].pose.rotation for look in looks)
-                cubes = [
-                    turned(cube, t) for cube, t in zip(cubes, turns, strict=True)
-                ]
-            plane = np.mean([look.plane for look in looks], 0)
-            whole[shot] = CubeMap.of(
-                np.mean(cubes, 0), None, np.clip(plane - bias, 0, None)
-            )
+        seen.setdefault(facts[sample.frame].shot, []).append(sample)
+    whole: dict[int, CubeMap] = {}
+    for shot, looks in seen.items():
+        cubes = [np.clip(look.cube - bias, 0, None) for look in looks]
+        if not still_camera:
+            turns = (facts[look.frame].pose.rotation for look in looks)
+            cubes = list(map(turned, cubes, turns))
+        plane = np.mean([look.plane for look in looks], 0) - bias
+        whole[shot] = CubeMap.of(np.mean(cubes, 0), None, np.clip(plane, 0, None))
     out = []
     for f in facts:
-        pose, environment = f.camera_from_world, whole.get(f.shot)
-        if pose is not None and environment is not None:
+        environment = whole.get(f.shot)
+        if f.camera_from_world is not None and environment is not None:
             if still_camera:
-                environment = replace(
-                    environment, axes=tuple(pose.rotation.ravel().tolist())
-                )
+                environment = replace(environment, axes=camera_axes(f))
             f = f.with_(environment=environment)
         out.append(f)
     return tuple(out)
+
+
+def camera_axes(f: FrameFacts) -> tuple[float, ...]:
+    """`axes` of surroundings that rest before the camera."""
+    return tuple(f.pose.rotation.ravel().tolist())

@@ -108,7 +108,9 @@ def test_what_planning_takes_is_in_the_prediction(monkeypatch) -> None:
     monkeypatch.setattr(predict_module, "plan_clip", slow)
     monkeypatch.setattr("time.perf_counter", lambda: clock[0])
     size = SIZE._replace(began=work_clock() - 2)
-    made = choose(JobConfig(), {}, [], None, LevelPolicy(), Errors({}, ""), PRICES, size)[1]  # type: ignore[arg-type]
+    made = choose(
+        JobConfig(), {}, [], None, LevelPolicy(), Errors({}, ""), PRICES, size
+    )[1]  # type: ignore[arg-type]
     assert made["predicted"]["phases"]["before"]["s"] == pytest.approx(2.5)
 
 

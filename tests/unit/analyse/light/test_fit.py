@@ -16,6 +16,7 @@ from arfx.analyse.light.over_time import (
     fit_over_time,
     switches,
 )
+from arfx.analyse.light.photometry import UNKNOWN_VARIANCE
 from arfx.core.numerics import angle_between, normalise
 from arfx.papers.s1_light import eq9_lights, hemisphere
 
@@ -51,7 +52,7 @@ def finite(f: LightFit) -> bool:
     parts = [
         f.ambient_rgb,
         f.seen_rgb,
-        [f.span_deg, f.model_error],
+        [f.model_error],
         *(li.rgb for li in f.lights),
     ]
     return all(np.isfinite(p).all() for p in parts) and all(
@@ -61,7 +62,7 @@ def finite(f: LightFit) -> bool:
 
 def test_one_lamp_is_found_with_its_colour_and_the_ambient_light() -> None:
     n, d = cap(70), at(30, 40)
-    found = fit(n, seen(n, (d, 1.0)), None, None, EXACT)
+    found = fit(n, seen(n, (d, 1.0)), params=EXACT)
     assert found.verdict == MEASURED and len(found.lights) == 1
     assert np.degrees(angle_between(found.lights[0].direction, d)) < 0.2
     assert found.lights[0].rgb[0] == pytest.approx(
@@ -155,14 +156,14 @@ def test_even_and_black_light_are_refused() -> None:
         assert found.verdict == REFUSED and finite(found)
 
 
-def test_what_is_not_finite_is_left_out_and_counted() -> None:
+def test_readings_of_which_nothing_is_known_are_left_out() -> None:
     n, d = cap(70), at(-50, 45)
-    light, normals = seen(n, (d, 1.0)), n.copy()
-    light[3, 1], light[4, 0], normals[5, 2] = np.nan, np.inf, np.nan
-    found = fit(normals, light, None, None, EXACT)
+    light, variance = seen(n, (d, 1.0)), np.zeros(n.shape)
+    light[3:5], variance[3:5] = 9.0, UNKNOWN_VARIANCE
+    found = fit(n, light, variance, params=EXACT)
     assert found.verdict == MEASURED
     assert np.degrees(angle_between(found.lights[0].direction, d)) < 0.5
-    nothing = fit(np.full((4, 3), np.nan), np.ones((4, 3)))
+    nothing = fit(n, light, UNKNOWN_VARIANCE)
     assert nothing.verdict == REFUSED and finite(nothing)
 
 
@@ -174,7 +175,7 @@ def test_who_knows_that_there_is_one_lamp_needs_less() -> None:
         1 + 0.003 * np.random.default_rng(2).normal(size=(80, 3))
     )
     assert fit(n, light).verdict != MEASURED
-    one = fit(n, light, None, None, Params(most_lights=1))
+    one = fit(n, light, params=Params(most_lights=1))
     assert (
         one.verdict == MEASURED
         and np.degrees(angle_between(one.lights[0].direction, d)) < 3
@@ -363,7 +364,7 @@ def test_a_pair_that_looks_the_same_makes_a_likely_light_whose_cone_holds_both()
             <= 60
         )
     assert light.angular_size_deg == MOST_SIZE_DEG
-    strict = fit(n, E, None, None, Params(likely=False))
+    strict = fit(n, E, params=Params(likely=False))
     assert (
         strict.verdict == REFUSED
         and not strict.lights
@@ -429,8 +430,7 @@ def test_the_cone_holds_what_slow_errors_do_where_normals_hardly_separate_ambien
             n,
             np.repeat(E[:, None], 3, 1),
             np.full((96, 3), 1e-6),
-            None,
-            Params(most_lights=1),
+            params=Params(most_lights=1),
         )
         assert (
             found.claimed

@@ -389,6 +389,7 @@ def test_a_black_clip_is_finite() -> None:
     done = with_light(analysis, meter.readings, meter.samples, LightParams())
     for f in done.facts:
         assert f.light is not None and np.isfinite(f.light.radiance(UP)).all()
+    assert done.summary["light"]["clipped_fraction"] == pytest.approx(1)
     json.dumps(done.summary["light"], allow_nan=False)
 
 

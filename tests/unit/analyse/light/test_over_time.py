@@ -273,7 +273,7 @@ def test_a_span_that_is_refused_takes_the_light_around_it_only_where_that_agrees
     lamps = [None, LAMP, None, None, alike, None, other, None]
     spans = [span(k, lamp) for k, lamp in enumerate(lamps)]
     used = used_spans(spans)
-    assert used.tolist() == [-1, 1, 1, 4, 4, -1, 6, -1]
+    assert used.tolist() == [-1, 1, 1, 1, 4, -1, 6, -1]
     told = (
         span_report(spans[2], bool(used[2] >= 0)),
         span_report(spans[5], bool(used[5] >= 0)),

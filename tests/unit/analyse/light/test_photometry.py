@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 
-from arfx.analyse.light.patches import WHITE, comparable
+from arfx.analyse.light.patches import WHITE, of_one_scale
 from arfx.analyse.light.photometry import (
     DEGENERATE,
     EXACT,
@@ -40,7 +40,7 @@ def clip(
 
 def finite(p: Photometry) -> bool:
     arrays = (p.y, p.var_y_own, p.bias, p.bias_95, p.condition, p.misfit)
-    return all(np.isfinite(a).all() for a in arrays) and np.isfinite(p.clipped)
+    return all(np.isfinite(a).all() for a in arrays)
 
 
 @pytest.mark.parametrize(
@@ -226,11 +226,7 @@ def test_degenerate_systems_are_reported_and_nothing_non_finite_leaves(
     if case == "one albedo":  # the light comes from the bright patches alone
         assert np.abs(p.y - (y + 0.02 / PAPER)).max() < 0.01
         if formula == "corrected":
-            assert (
-                "one albedo" in p.reason
-                and (p.rank == p.unknowns - 1).all()
-                and (p.condition >= 1e12).all()
-            )
+            assert "one albedo" in p.reason and (p.condition >= 1e12).all()
 
 
 @pytest.mark.parametrize("difference", [1e-3, 1e-4, 0.0])
@@ -258,7 +254,7 @@ def test_a_nan_in_a_patch_costs_that_patch_alone() -> None:
     broken = grey.copy()
     broken[3, 2], broken[5, 6, 1], broken[7] = np.nan, np.inf, np.nan
     p = solve(broken, np.full(grey.shape, 0.0005**2), RHO)
-    assert p.verdict == MEASURED and finite(p) and p.ignored == 10
+    assert p.verdict == MEASURED and finite(p)
     assert (
         not p.seen[7]
         and (p.var_y_own[7] == UNKNOWN_VARIANCE).all()
@@ -325,13 +321,6 @@ def test_a_highlight_over_a_glossy_print_is_no_light() -> None:
     assert np.abs(covered.y[40] - y[40]).max() < 0.02
 
 
-def test_shares_of_clipped_samples_are_reported() -> None:
-    grey, _ = clip()
-    assert solve(
-        grey, None, RHO, clipped=np.full((40, 8), 0.05)
-    ).clipped == pytest.approx(0.05)
-
-
 def test_the_large_system_of_the_paper_gives_what_the_dense_one_gives() -> None:
     grey, _ = clip(frames=60, noise=0.002)
     grey[4, 2] = np.nan
@@ -371,26 +360,25 @@ def test_time_is_linear_in_frames(formula: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("overexposed", "kept", "of_ink"),
-    [(0, 30, False), (3, 27, False), (12, 30, True)],
+    ("overexposed", "of_ink"), [(0, False), (3, False), (12, False), (27, True)]
 )
-def test_overexposed_readings_are_left_out_or_all_are_read_from_the_ink(
-    overexposed: int, kept: int, of_ink: bool
+def test_overexposed_readings_are_read_from_the_ink_on_the_papers_scale(
+    overexposed: int, of_ink: bool
 ) -> None:
-    """The ink is .06 in truth: read from it, all light is 1.2 times as much, but of one scale."""
+    """The ink is .06 in truth: read from it, light is 1.2 times as much. Where too few
+    readings show both, all are, and so of one scale."""
     grey, y = clip(30, rho=np.where(WHITE, PAPER, 0.06), bias=0.0, noise=1e-5)
     clipped = np.zeros(grey.shape[:2])
     clipped[:overexposed, WHITE] = 1.0
     grey[:overexposed, WHITE] = np.nan
     variance = np.full(grey.shape, 1e-10)
-    p = solve(grey, variance, RHO, clipped=clipped)
+    p = solve(grey, variance, RHO)
     rho = np.broadcast_to(RHO[:, None], grey.shape)
-    alone = comparable(p, grey, variance, clipped, rho) or p.reading
-    light, fit = alone.y, alone.fit
+    light = of_one_scale(p, grey, variance, clipped, rho).y
     for c in range(3):
-        line = np.polyfit(y[fit, c], light[fit, c], 1)
+        line = np.polyfit(y[:, c], light[:, c], 1)
         assert line[0] == pytest.approx(1.2 if of_ink else 1.0, abs=0.03)
-        assert np.abs(light[fit, c] - np.polyval(line, y[fit, c])).max() < 0.005
-        if of_ink:  # both kinds together have no one scale
+        assert np.abs(light[:, c] - np.polyval(line, y[:, c])).max() < 0.005
+        if overexposed == 12:  # both kinds together have no one scale
             both = np.polyfit(y[:, c], p.y[:, c], 1)
             assert np.abs(p.y[:, c] - np.polyval(both, y[:, c])).max() > 0.02

@@ -66,11 +66,11 @@ def analysed(
             look.picture.astype(float),
             QUAD,
             look.picture.shape[1],
-            look.darkest,
+            np.zeros(3),
         )
         for look in clip.looks
     ]
-    guessed = with_environment(clip.facts, samples, still_camera, None, np.eye(3))
+    guessed = with_environment(clip.facts, samples, still_camera)
     return with_seen(guessed, clip.looks, CAMERA, still_camera, np.zeros(3), UP)
 
 
@@ -153,9 +153,10 @@ def test_the_rooms_distance_is_where_the_pictures_agree(
     name: str, radius_m: float
 ) -> None:
     clip = CLIPS[name]
+    lit = [(look, clip.facts[look.frame]) for look in clip.looks]
     posed = [
-        seen._Posed.of(look, clip.facts[look.frame], CAMERA, False, np.zeros(3))
-        for look in clip.looks
+        seen._Posed(look, f, f.light or Light(), CAMERA, False, np.zeros(3))
+        for look, f in lit
     ]
     assert seen._inverse_radius(posed, UP) == pytest.approx(1 / radius_m, rel=0.35)
 
@@ -214,7 +215,7 @@ def test_a_still_room_does_not_flicker() -> None:
     """Under noise of 2 % of white: beside maps of single looks, one in each frame."""
     clip = replace(ROUND.at_rest(), seconds=8.0)
     noise = np.random.default_rng(3)
-    looks = [Snapshot(look.frame, np.clip(look.picture + noise.normal(0, 0.02, look.picture.shape), 0, 1).astype(np.float16), np.zeros(3))
+    looks = [Snapshot(look.frame, np.clip(look.picture + noise.normal(0, 0.02, look.picture.shape), 0, 1).astype(np.float16))
              for look in clip.looks]  # fmt: skip
     found, maps = with_seen(analysed(clip)[0], looks, CAMERA, False, np.zeros(3), UP)
     s = scene(maps)
@@ -287,7 +288,7 @@ def test_a_given_panorama_is_known_everywhere() -> None:
     ]
     assert side / other == pytest.approx(4, rel=0.1)
     assert {f.seen_environment for f in found} == {found[0].seen_environment}
-    given = with_environment(found, [], False, picture, np.eye(3))[0]
+    given = found[0]
     narrow, wide = cubes(given, scene(maps))
     np.testing.assert_array_equal(narrow, wide)
     assert irradiance(narrow, UP) == pytest.approx(
@@ -301,7 +302,7 @@ def test_frames_without_a_pose_have_none_and_a_missing_map_is_said() -> None:
     ]
     found, maps = with_seen(
         lost,
-        [Snapshot(1, ROUND.looks[0].picture, np.zeros(3))],
+        [Snapshot(1, ROUND.looks[0].picture)],
         CAMERA,
         False,
         np.zeros(3),
@@ -330,10 +331,7 @@ def test_a_fisheye_lens_sees_what_it_sees() -> None:
         "fisheye",
     )
     clip = CLIPS["under a sky"].at_rest()
-    looks = [
-        Snapshot(k, clip.picture(k, wide).astype(np.float16), np.zeros(3))
-        for k in (0, 20)
-    ]
+    looks = [Snapshot(k, clip.picture(k, wide).astype(np.float16)) for k in (0, 20)]
     found, maps = with_seen(clip.facts, looks, wide, False, np.zeros(3), UP)
     rgba = seen_now(found[0], scene(maps))
     assert np.isfinite(rgba).all() and (rgba[..., 3] > 0.99).mean() > 0.15

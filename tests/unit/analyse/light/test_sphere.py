@@ -10,10 +10,10 @@ from arfx.analyse.light.sphere import (
     DEG_8,
     DEG_16,
     DEG_32,
-    even_directions,
     nearest_cell,
 )
 from arfx.core.numerics import normalise
+from arfx.core.sampling import sphere
 
 
 @pytest.mark.parametrize(
@@ -22,7 +22,7 @@ from arfx.core.numerics import normalise
 def test_directions_are_as_far_apart_as_their_name_says(
     count: int, apart_deg: int
 ) -> None:
-    d = even_directions(count)
+    d = sphere(count)
     assert (
         d.shape == (count, 3) and np.abs(np.linalg.norm(d, axis=1) - 1).max() < 1e-14
     )
@@ -32,7 +32,7 @@ def test_directions_are_as_far_apart_as_their_name_says(
 
 def test_nearest_is_the_nearest_of_all_at_any_length() -> None:
     d = normalise(np.random.default_rng(0).normal(size=(2000, 3)))
-    brute = (d @ even_directions(DEG_16).T).argmax(1)
+    brute = (d @ sphere(DEG_16).T).argmax(1)
     assert np.array_equal(nearest_cell(d, DEG_16), brute)
     assert np.array_equal(
         nearest_cell(7 * d.reshape(40, 50, 3), DEG_16).ravel(), brute

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from arfx.analyse.light.seen import given_everywhere
 from arfx.analyse.light.surroundings import (
     EnvironmentSample,
     cube_from_picture,
@@ -164,7 +165,7 @@ def test_every_frame_of_a_shot_has_one_environment_fixed_in_the_room() -> None:
         EnvironmentSample(k, turned(room, p.rotation.T), np.zeros(3), np.zeros(3))
         for k, p in enumerate(poses)
     ]
-    made = with_environment(facts, samples, False, None, np.eye(3))
+    made = with_environment(facts, samples, False)
     assert (
         made[3].environment is None
         and made[0].environment is made[2].environment is not None
@@ -176,8 +177,6 @@ def test_every_frame_of_a_shot_has_one_environment_fixed_in_the_room() -> None:
         facts,
         [EnvironmentSample(0, room, np.zeros(3), np.zeros(3))],
         True,
-        None,
-        np.eye(3),
     )
     assert still[2].environment is not None and still[2].environment.axes is not None
     room_at_rest = turned(
@@ -186,7 +185,7 @@ def test_every_frame_of_a_shot_has_one_environment_fixed_in_the_room() -> None:
     )
     back = turned(room_at_rest, poses[2].rotation.T)
     np.testing.assert_allclose(back, room, atol=0.25)
-    given = with_environment(facts, [], False, np.full((16, 32, 3), 0.3), np.eye(3))
+    given, _ = given_everywhere(facts, np.full((16, 32, 3), 0.3), np.eye(3))
     np.testing.assert_allclose(checked_faces(given[1].environment), 0.3, rtol=2e-3)
 
 

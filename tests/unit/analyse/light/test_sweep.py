@@ -15,9 +15,9 @@ import pytest
 
 from arfx.analyse.light.fit import LightFit
 from arfx.analyse.light.hypotheses import MEASURED
-from arfx.analyse.light.patches import WHITE, comparable, cut_off
+from arfx.analyse.light.over_time import fit_over_time
+from arfx.analyse.light.patches import WHITE, cut_off, of_one_scale
 from arfx.analyse.light.photometry import INK, PAPER, solve
-from arfx.analyse.light.static_frame import fit_temporal_model
 from arfx.core.numerics import normalise
 from arfx.papers.s1_gain import gain_and_bias
 
@@ -251,12 +251,11 @@ def run(kind: str, known: bool, scenes: int = SCENES) -> Tally:
         mean, variance, clipped, bias = photographed(
             E, np.random.default_rng(seed), **noise
         )
-        p = solve(mean, variance, RHO, clipped)
+        p = solve(mean, variance, RHO)
         assert np.isfinite(p.y).all() and np.isfinite(p.bias).all()
-        alone = comparable(p, mean, variance, clipped, ALBEDO[: len(mean)])
-        seen = p.seen
-        light = [r.at(seen) for r in (p.reading, alone) if r is not None]
-        _, spans, _ = fit_temporal_model(times[seen], normals[seen], light, breaks)
+        light = of_one_scale(p, mean, variance, clipped, ALBEDO[: len(mean)])
+        arrays = times, normals, light.y, light.var_y_own
+        _, spans = fit_over_time(*(a[p.seen] for a in arrays), breaks)
         out.scenes += 1
         low, high = p.bias_95.T
         out.bias_held.append(float(np.mean((low <= bias) & (bias <= high))))
