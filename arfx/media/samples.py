@@ -274,7 +274,7 @@ def _float32(values: Any) -> Any:
 
 
 @lru_cache(maxsize=8)
-def samples_of(clip: ClipInfo) -> Samples:
+def samples_of(clip: "ClipInfo") -> Samples:
     """What the samples of a clip stand for."""
     layout = clip.layout
     luma, chroma = (
