@@ -24,11 +24,12 @@ def overrides(options: Iterable[Given], texts: Sequence[str]) -> dict[str, Any]:
         said[path] = f"--set {text}"
         _set_value(tree, path, value, said[path])
     for path, value, words in options:
-        if path in said:
-            raise ConfigError(
-                f"{words} and {said[path]} both give {'.'.join(path)}",
-                "give one of them",
-            )
+        for other, text in said.items():
+            if all(map(str.__eq__, path, other)):  # one holds the other
+                raise ConfigError(
+                    f"{words} and {text} both give {'.'.join(path)}",
+                    "give one of them",
+                )
         _set_value(tree, path, value, words)
     return tree
 

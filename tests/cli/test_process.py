@@ -552,6 +552,7 @@ def test_a_marker_that_is_never_seen_is_said(material: Material, arfx: Run) -> N
     ("option", "setting"),
     [
         (("--quality", "high"), "pipeline.quality=draft"),
+        (("--quality", "high"), "pipeline.quality=high"),
         (("--no-skip",), "pipeline.skip=true"),
         (("--rotate", "0,0,90"), "model.rotate=[0, 0, 91]"),
         (("--marker", "36h11:4:10cm"), "marker.spec=36h11:3:10cm"),
@@ -560,7 +561,7 @@ def test_a_marker_that_is_never_seen_is_said(material: Material, arfx: Run) -> N
         (("-o", "out.mp4"), "output.path=other.mp4"),
     ],
 )
-def test_an_option_and_a_setting_of_one_key_that_differ_are_an_error(
+def test_an_option_and_a_setting_of_one_key_are_an_error(
     material: Material,
     arfx: Run,
     tmp_path: Path,
@@ -572,32 +573,6 @@ def test_an_option_and_a_setting_of_one_key_that_differ_are_an_error(
         r.code == 2 and " ".join(option) in r.err and f"--set {setting}" in r.err
     ), r.err
     assert "Traceback" not in r.err and not list(tmp_path.iterdir())
-
-
-def test_an_option_and_a_setting_that_mean_the_same_agree(
-    material: Material, arfx: Run
-) -> None:
-    same = (
-        "--set",
-        "model.fit=0.08m",
-        "--set",
-        "pipeline.quality=standard",
-        "--quality",
-        "standard",
-    )
-    r = arfx(
-        "plan",
-        *material.arguments(
-            "--rotate",
-            "0,0,90",
-            "--set",
-            "model.rotate=[0, 0, 90]",
-            "--end",
-            "0.1",
-            *same,
-        )[1:],
-    )
-    assert r.code == 0, r.err
 
 
 @pytest.mark.parametrize(

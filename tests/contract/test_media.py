@@ -109,14 +109,16 @@ def test_every_time_survives_chunks_with_reordered_frames(
         assert np.abs(a.luma().astype(int) - b.luma()).mean() < 6
 
 
+def keys(path: Path) -> list[int]:
+    """Numbers of the key frames, in the order in which they are shown."""
+    with av.open(str(path)) as container:
+        return [i for i, f in enumerate(container.decode(video=0)) if f.key_frame]
+
+
 def test_key_frames_are_the_chunks_own_not_the_sources(tmp_path: Path) -> None:
     source = make_clip(tmp_path / "in.mp4", STEADY, options={"g": "2", "mbtree": "0"})
-    before, _ = through(source, tmp_path / "out.mp4", [0, 8])
-    assert sum(f.key for f in before) == 10
-    assert [i for i, f in enumerate(read(probe(tmp_path / "out.mp4"))) if f.key] == [
-        0,
-        8,
-    ]
+    through(source, tmp_path / "out.mp4", [0, 8])
+    assert len(keys(source)) == 10 and keys(tmp_path / "out.mp4") == [0, 8]
 
 
 def test_one_frame(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ from arfx.analyse.markers.search import (
 )
 from arfx.analyse.motion import flow
 from arfx.analyse.motion.flow import KeyPicture, MotionStep, joined_steps
-from arfx.analyse.pose.at_rest import FlowSample, RestMotion, RestPicture, rests
+from arfx.analyse.pose.at_rest import FlowSample, RestPicture, rests
 from arfx.analyse.tables import from_bytes, to_bytes
 from arfx.core.marker import MarkerSpec, PatternSpec
 from arfx.core.rect import Rect
@@ -126,7 +126,7 @@ CUTS = (
     FRAMES,
 )  # before anything is seen; a single frame; a cut at a border
 KINDS = {
-    *(FrameRow, Sighting, OtherPrint, FlowSample, RestPicture, RestMotion),
+    *(FrameRow, Sighting, OtherPrint, FlowSample, RestPicture),
     *(Reading, BackgroundChange, Snapshot, MotionStep, KeyPicture),
 }
 WANTED = {"light", "environment", "flow", "lens"}
@@ -145,12 +145,12 @@ def quick_search() -> Iterator[None]:
 
 def made() -> Made:
     """What jobs observe, with everything that can be asked for."""
-    more: dict[str, Any] = {"prints": {PRINT.key: PRINTED}, "frames": FRAMES}
+    more: dict[str, Any] = {"prints": {PRINT.key: PRINTED}}
     return {
         "markers": Observed(
-            AnalysisJob((M, PRINT), CAM.scaled_to(960, 540), **more), WANTED
+            AnalysisJob((M, PRINT), CAM.scaled_to(960, 540), **more), WANTED, FRAMES
         ),
-        "plane": Observed(AnalysisJob((), CAM, anchor=PLANE, frames=FRAMES), WANTED),
+        "plane": Observed(AnalysisJob((), CAM, anchor=PLANE), WANTED, FRAMES),
     }
 
 
@@ -281,12 +281,12 @@ def test_what_stretches_learned_is_what_the_clip_shows(
 
 
 def test_poses_of_coded_prints_do_not_depend_on_where_a_clip_is_cut() -> None:
-    job = AnalysisJob((M,), CAM.scaled_to(960, 540), frames=FRAMES)
+    job = AnalysisJob((M,), CAM.scaled_to(960, 540))
     clips = []
     for cuts in ((0, FRAMES), CUTS):
-        whole = Observed(job)
+        whole = Observed(job, (), FRAMES)
         for a, b in pairwise(cuts):
-            part = Observed(job)
+            part = Observed(job, (), FRAMES)
             for k in range(a, b):
                 part.step(shown(k, k))
             whole.add(part.tables())

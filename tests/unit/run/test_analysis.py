@@ -143,13 +143,13 @@ def test_a_stretch_of_anything_else_is_made_anew(tmp_path: Path) -> None:
         analysed(clip, job.path, 30)
     first = min(job.stretches.iterdir())
     good = first.read_bytes()
-    pts = from_bytes(good)["StretchFrame"]["pts"].tolist()
+    pts = from_bytes(good)["frames"]["pts"].tolist()
     assert pts == whole[2][: len(pts)]
     for data in (
         b"",
         good[:-1],
         good[:1000] + b"\xff" + good[1001:],
-        to_bytes({"StretchFrame": {"frame": np.arange(3)}}),
+        to_bytes({"frames": {"pts": np.arange(3)}}),
     ):
         first.write_bytes(data)
         assert written(analysed(clip, job.path), tmp_path / "again.jsonl") == whole

@@ -161,8 +161,8 @@ def test_object_and_shadow_are_written_in_linear_light(
     before, after = picture.linear(beside), out.linear(beside)
     left = np.linspace(0.4, 1, 70, dtype=np.float32)[None, :, None]
     expected = bias + (1 + 0.9 * (left - 1)) * (before - bias)
-    step = 1 / (picture.format.layout.peak * 219 / 255)
-    coded = [picture.format.transfer.encode(x) for x in (after, expected)]
+    step = 1 / (picture.clip.layout.peak * 219 / 255)
+    coded = [picture.clip.transfer.encode(x) for x in (after, expected)]
     assert np.abs(coded[0] - coded[1])[2:-2, 2:-2].max() < 2.5 * step
     for a, b in zip(samples(out), samples(picture), strict=True):
         assert np.array_equal(a[82:], b[82:]) and np.abs(a - b).max() > 10 * (

@@ -222,7 +222,7 @@ def test_a_plug_in_that_cannot_be_made_is_named(
         raise ZeroDivisionError("by 0")
 
     monkeypatch.setattr(Plug, "__init__", fails)
-    monkeypatch.setattr(parameters, "_classes", lambda name: {"corrected": Plug})
+    monkeypatch.setattr(parameters, "_printed", lambda name: {})
     monkeypatch.setattr(parameters, "STAGES", {"plug": Plug})
     said = r"'plug' of one 1\.2 fails while it is made: ZeroDivisionError: by 0"
     with pytest.raises(RenderError, match=said):
