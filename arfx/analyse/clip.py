@@ -92,8 +92,8 @@ def marker_poses(clip: Analysis, rows: ClipRows, job: AnalysisJob) -> Analysis:
     found = solve_poses(
         seen, job.markers, camera, job.params, job.marker_map, background
     )
-    keys = {m.key for m in job.markers}
-    twice = [other.key for other in others if other.key in keys]
+    shown = {(s.frame, s.print.key) for s in prints}
+    twice = [o.key for o in others if (o.frame, o.key) in shown]
     notice = (
         f"two prints of the same id in a frame ({', '.join(sorted({*twice}))},"
         f" {len(twice)} times): the one that moves on from the frame before is followed"

@@ -56,7 +56,7 @@ class AnalysisJob:
     marker_map : world_from_marker of a known layout; None = mapped from the clip
     panorama : of LightParams.environment;  anchor : MARKER or PLANE
     depth : maps of the real scene (media.depth_maps.DepthMaps);  align : scale them to the
-    markers' planes;  poses : of the camera, media.pose_files.CameraPath)
+    markers' planes;  poses : of the camera, media.pose_files.CameraPath
     scene : of the job, once it is known what stands where;  progress : (phase, done, in all)
     light_method : (clip, readings, samples, settings, panorama) -> clip with light, in place of
     the corrected method

@@ -136,6 +136,11 @@ def _digest() -> str:
     return hashlib.sha256(parts.encode()).hexdigest()[:16]
 
 
+# Folders of compiled code, of which files are unpickled, that are not used as others may
+# write to them.
+open_folders: list[Path] = []
+
+
 @functools.cache
 def code_folder() -> Path:
     """Where compiled code is kept: the first place that can be written of NUMBA_CACHE_DIR,
@@ -183,6 +188,7 @@ def _prepare_folder(place: Path, shipped: Path) -> bool:
             shutil.copytree(shipped, place, dirs_exist_ok=True)
         place.mkdir(0o755, parents=True, exist_ok=True)
         if _open_to_others(place):  # files in it are unpickled
+            open_folders.append(place)
             return False
         tempfile.TemporaryFile(dir=place).close()
     except OSError:
@@ -218,6 +224,11 @@ def telling(notice: Notice) -> Iterator[None]:
                 "compiling kernels, once: this clip or its settings need them"
             )
             notice(said[0])
+            if open_folders:
+                notice(
+                    f"compiled code in {open_folders[0]} is not used, others may write"
+                    " there: chmod go-w takes that from them"
+                )
 
     listener = type("", (event.Listener,), {"on_start": say, "on_end": say})()
     with event.install_listener("numba:compile", listener):

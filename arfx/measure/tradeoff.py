@@ -204,7 +204,7 @@ def measure(
         Times([*sampled.values()], new, job.prices),
     )
     tables = {
-        n: _levels_of(work, n)
+        n: _levels_of(work, n, only is None)
         for n in names
         if len(stages[n].levels) > 1 and (only is None or n in only)
     }
@@ -252,7 +252,7 @@ def _choose_windows(
         work.following = replace(work.following, window=work.first.window)
 
 
-def _levels_of(work: _Work, name: str) -> list[Row]:
+def _levels_of(work: _Work, name: str, formulas: bool) -> list[Row]:
     """A job without the effect, the effect under its other formula, and each of its levels,
     the reference last, with all other stages at their usual level.
     """
@@ -261,7 +261,7 @@ def _levels_of(work: _Work, name: str) -> list[Row]:
     without = {n: level for n, level in usual.items() if n != name}
     return [
         Row(name, LEFT_OUT, formula, levels=without),
-        *_other_formula(work, name, [name]),
+        *(_other_formula(work, name, [name]) if formulas else []),
         *(
             Row(name, level, formula, levels={**usual, name: level})
             for level in stage.levels
@@ -294,8 +294,9 @@ def _compare(work: _Work, rows: Sequence[Row]) -> None:
         for r in rows:
             r.pictures[i] = work.image(frame, r)
         reference = rows[-1].pictures[i]
-        where = touched(*((reference, r.pictures[i]) for r in rows))
+        own = [(reference, r.pictures[i]) for r in rows if not r.other]
         for r in rows:
+            where = touched(*own, (reference, r.pictures[i]))
             r.by_frame[i] = difference(reference, r.pictures[i], where)
 
 

@@ -11,7 +11,7 @@ from numpy import ndarray
 from arfx.core.facts import FrameFacts
 from arfx.core.rect import Rect
 
-NAMES = ("share of the picture", "distance, m", "light", "motion, px")
+NAMES = ("share of the picture", "distance, m", "light", "blur, px")
 # what is unusual, by NAMES
 SIDES = (
     ("small", "large"),

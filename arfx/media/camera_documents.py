@@ -76,7 +76,7 @@ def read_document(path: Path) -> Document:
             raise CameraFileError(other["what"], other["hint"])
     if data.startswith(b"PK"):
         return _numpy(data)
-    if path.name == "cameras.bin":
+    if path.suffix.lower() == ".bin":
         hint = "colmap model_converter --output_type TXT writes cameras.txt"
         raise CameraFileError("COLMAP's binary model is not read", hint)
     text = as_text(data, path, "camera file")

@@ -38,6 +38,7 @@ OVEREXPOSED = 0.02
 FEWEST_BOTH = (
     10  # readings that show ink and paper, to bring one to the other's scale
 )
+TELLS = 5.0  # deviations by which their light differs at least, for that
 _GAMMA = 2.2  # about the slope of the transfer function
 # cells along a pattern's side; how many of a quarter's are its bright ones, and its dark ones
 GRID, CHOSEN = 10, 8
@@ -298,8 +299,8 @@ def of_one_scale(
     albedo: ndarray,
 ) -> Photometry:
     """p, with overexposed readings by their ink. It is brought to the paper's scale, which ink
-    of another albedo does not have, by the readings that show both; where they are too few,
-    all are read by their ink. Arguments as for `solve`.
+    of another albedo does not have, by the readings that show both; where they are too few
+    or all alike, all are read by their ink. Arguments as for `solve`.
 
     albedo : (t, p, 3)"""
     overexposed = p.seen & (clipped[:, WHITE].sum(1) > OVEREXPOSED * WHITE.sum())
@@ -310,7 +311,8 @@ def of_one_scale(
     y, own = np.stack([part[:2] for part in ink], -1)
     known = p.seen & (own < UNKNOWN_VARIANCE).all(1)
     both = known & ~overexposed
-    if both.sum() >= FEWEST_BOTH:
+    noise = p.misfit * np.sqrt(own[both].sum(0) / max(both.sum(), 1))
+    if both.sum() >= FEWEST_BOTH and (y[both].std(0) > TELLS * noise).all():
         pairs = zip(y[both].T, p.y[both].T, strict=True)
         slope, offset = np.transpose([np.polyfit(*pair, 1) for pair in pairs])
         y, own, known = slope * y + offset, slope**2 * own, known & overexposed

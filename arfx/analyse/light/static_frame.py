@@ -327,9 +327,7 @@ def span_report(span: Span, used: bool) -> dict[str, Any]:
     """
     verdict, why = span.fit.verdict_of(span.group)
     if not span.fit.claimed:
-        why += "; used instead: " + (
-            "the light before and after it" if used else "soft light"
-        )
+        why += "; used instead: " + ("the light before it" if used else "soft light")
     light = span.fit.light(span.group)
     ends = {"start_s": span.start_s, "end_s": span.stop_s}
     return ends | _told(verdict, why, light)

@@ -90,7 +90,8 @@ class MarkerSearch:
         shown = self.coded_sightings(frame, coded)
         shown += [Sighting(index, ANY, np.nan, s) for s in pictured]
         self._seen |= bool(shown)
-        instead = [] if self._seen or index not in SCANS else scan(luma)
+        scanned = not self._seen and index in SCANS
+        instead = (scan(luma) or scan(255 - luma)) if scanned else []
         self.rows += [
             FrameRow(index, frame.time_s, width, height, thumbnail(luma)),
             *shown,

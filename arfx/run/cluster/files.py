@@ -206,12 +206,12 @@ class Store:
         """A file or folder. Raises RenderError."""
         try:
             fs, root = file_system(self.url)
-            source, target = (
-                f"{path}/" if path.is_dir() else str(path),
-                f"{root}/{name}",
-            )
-            fs.makedirs(target.rpartition("/")[0], exist_ok=True)
-            fs.put(source, target, recursive=True)
+            # one by one: `put` would read a path as a pattern
+            for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+                inner = f"/{file.name}" if path.is_dir() else ""
+                target = f"{root}/{name}{inner}"
+                fs.makedirs(target.rpartition("/")[0], exist_ok=True)
+                fs.put_file(str(file), target)
         except FAILURES as e:
             raise RenderError(
                 f"cannot write {self.url}/{name}: {said(e)}",

@@ -5,6 +5,7 @@ does not tell (cut-outs, parts that pass through each other) comes from neighbou
 """
 
 # mypy: disable-error-code="no-untyped-def"
+
 import numpy as np
 from numpy import ndarray
 
@@ -13,6 +14,7 @@ from arfx.core.compiled import kernel
 from arfx.core.numerics import EPS_DEPTH_M, divide
 from arfx.core.rect import Rect
 from arfx.core.scene_mesh import SceneMesh
+from arfx.core.vectors import dot, shifted, vector
 from arfx.stages.raster.record import View, bounds_of
 
 _POINTS_PER_PX = 1.5
@@ -21,6 +23,9 @@ _MAX_POINTS = 400_000
 # An edge this much behind the surface that the centre sees, as a fraction of its depth, is hidden.
 # Outlines always lie behind: the surface beside them is seen at a grazing angle.
 _BEHIND = 2e-2
+# Of depth, in pixels' sides, beyond what the faces' slope explains, that makes two pixels differ.
+_JUMP_PX = 8.0
+_SLOPES = 3.0
 
 
 def edge_pixels(
@@ -42,7 +47,7 @@ def edge_pixels(
     column, row, z = column[inside], row[inside], z[inside]
     seen = z <= depth[row, column] * np.float32(1 + _BEHIND)
     mask[row[seen], column[seen]] = True
-    _add_jumps(mask, mesh.part, face)
+    _add_jumps(mask, mesh.part, mesh.face_normal, view, face, depth)
     return mask
 
 
@@ -87,12 +92,11 @@ def _points_along(
     return camera.distort(place[seen]) * focal + corner, depth[seen]
 
 
-@kernel()
-def _add_jumps(mask, part, face):  # pragma: no cover - compiled
-    """Mark both pixels of neighbours that show two parts, or a part and nothing without a marked
-    edge between them.
+@kernel(error_model="numpy")
+def _add_jumps(mask, part, face_normal, view: View, face, depth):  # pragma: no cover
+    """Mark both pixels of neighbours that differ in a way no marked edge between them explains.
 
-    part : of the mesh's faces;  face : as of `edge_pixels`"""
+    part, face_normal : of the mesh's faces;  face, depth : as of `edge_pixels`"""
     before = mask.copy()
     one, height, width = np.uintp(1), np.uintp(face.shape[0]), np.uintp(face.shape[1])
     for y in range(height):
@@ -101,12 +105,36 @@ def _add_jumps(mask, part, face):  # pragma: no cover - compiled
                 (y, min(x + one, width - one)),
                 (min(y + one, height - one), x),
             ):
-                here, there = face[y, x], face[v, u]
-                if here == there or (before[y, x] and before[v, u]):
+                if face[y, x] == face[v, u] or (before[y, x] and before[v, u]):
                     continue
-                if min(here, there) < 0:
-                    differ = not (before[y, x] or before[v, u])
+                marked, nothing = (
+                    before[y, x] or before[v, u],
+                    min(face[y, x], face[v, u]) < 0,
+                )
+                if nothing or part[face[y, x]] != part[face[v, u]]:
+                    differ = not (marked and nothing)
                 else:
-                    differ = part[here] != part[there]
+                    gap = (
+                        abs(depth[v, u] - depth[y, x]) / depth[y, x]
+                        - _JUMP_PX * view.pixel
+                    )
+                    differ = not marked and gap > 0
+                    if differ:
+                        normal = vector(face_normal[face[y, x]])
+                        here, there = (
+                            _towards(view, normal, y, x),
+                            _towards(view, normal, v, u),
+                        )
+                        differ = gap > _SLOPES * abs(here - there) / max(
+                            abs(there), 1e-3
+                        )
                 if differ:
                     mask[y, x], mask[v, u] = True, True
+
+
+@kernel(inline="always")
+def _towards(view, normal, y, x):  # pragma: no cover - compiled
+    """How far a face's normal leans along the direction, z = 1, of a pixel."""
+    row, column = y + np.uintp(1), x + np.uintp(1)
+    down = shifted(view.rotation[2], view.y[row, column], view.rotation[1])
+    return dot(normal, shifted(down, view.x[row, column], view.rotation[0]))

@@ -67,7 +67,7 @@ def on_gl_thread(work: Callable[..., T], *args: Any) -> T:
     try:
         return _thread.submit(_free_then, work, args).result()
     except Exception as e:
-        if type(e).__module__ != "OpenGL.error":
+        if all(kind.__module__ != "OpenGL.error" for kind in type(e).__mro__):
             raise
         raise RenderError(
             f"OpenGL failed: {e!r}",

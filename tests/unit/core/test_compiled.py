@@ -241,6 +241,7 @@ def test_a_damaged_file_is_stale(tmp_path: Path, ending: str, how: str) -> None:
 def test_a_folder_that_others_may_write_to_is_not_used_and_nothing_is_copied_from_it(
     tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(compiled, "open_folders", [])
     shipped_in(tree).chmod(0o777)
     kept = compiled.code_folder()
     assert kept.is_relative_to(tmp_path / "home") and not [*kept.iterdir()]
@@ -250,19 +251,23 @@ def test_a_folder_that_others_may_write_to_is_not_used_and_nothing_is_copied_fro
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(named))
     compiled.code_folder.cache_clear()
     assert compiled.code_folder() == kept
+    assert named in {folder.parent for folder in compiled.open_folders}
     named.chmod(0o1777)  # as /tmp is: nobody replaces another's folder
     compiled.code_folder.cache_clear()
     assert compiled.code_folder().parent == named
 
 
-def test_compiling_is_said_once() -> None:
+def test_compiling_is_said_once_with_what_keeps_compiled_code_from_being_used(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(compiled, "open_folders", [Path("open")])
     notices: list[str] = []
     with compiled.telling(notices.append):
         for number in (1, 1.5, 2):
             numba.njit(lambda x: x + 1)(number)
     numba.njit(lambda x: x + 2)(1)
-    (compiling,) = notices
-    assert compiling.startswith("compiling kernels, once")
+    compiling, others = notices
+    assert compiling.startswith("compiling kernels, once") and "chmod go-w" in others
 
 
 def test_compiling_is_no_part_of_a_jobs_time() -> None:

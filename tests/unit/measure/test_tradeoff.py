@@ -24,6 +24,7 @@ from arfx.measure.tradeoff import (
     Measurements,
     Row,
     _choose_windows,
+    _compare,
     _Work,
     front,
 )
@@ -340,3 +341,26 @@ def test_the_page_holds_everything() -> None:
     assert (error_map(reference, reference + 3) == 152).all() and (
         error_map(reference, reference) == 128
     ).all()
+
+
+def test_the_other_formulas_pixels_do_not_dilute_a_levels_error() -> None:
+    plain = np.full((20, 30, 3), 100, np.uint8)
+    small, wide = plain.copy(), plain.copy()
+    small[:5, :6] += 10
+    wide[:, :15] += 50
+    shown = {"standard": small, "reference": plain, "usual": wide}
+    rows = [
+        Row("dof", "usual", "paper", other={"dof": Stage()}),
+        Row("dof", "standard", ""),
+        Row("dof", "reference", ""),
+    ]
+    frame = SimpleNamespace(
+        plan=SimpleNamespace(steps=[SimpleNamespace(stage="dof")])
+    )
+    work: Any = SimpleNamespace(
+        frames={3: frame}, image=lambda frame, r: shown[r.level]
+    )
+    _compare(work, rows)
+    other, own, _ = (r.by_frame[3] for r in rows)
+    assert own.pixels == 30 and own.mean == pytest.approx(10, abs=0.5)
+    assert other.pixels == 300 and other.mean == pytest.approx(50, abs=2)

@@ -382,3 +382,18 @@ def test_overexposed_readings_are_read_from_the_ink_on_the_papers_scale(
         if overexposed == 12:  # both kinds together have no one scale
             both = np.polyfit(y[:, c], p.y[:, c], 1)
             assert np.abs(p.y[:, c] - np.polyval(both, y[:, c])).max() > 0.02
+
+
+def test_overexposed_readings_keep_their_light_where_the_others_have_one() -> None:
+    """Readings that show ink and paper, all under one light, tell no scale."""
+    rng = np.random.default_rng(3)
+    y = np.repeat([[0.9], [1.4]], 20, 0)
+    rho = np.broadcast_to(RHO[:, None], (40, 8, 3))
+    grey = y[:, None] * rho + 1e-3 * rng.normal(size=rho.shape)
+    clipped = np.zeros((40, 8))
+    clipped[20:, WHITE] = 1.0
+    grey[20:, WHITE] = np.nan
+    variance = np.full(grey.shape, 1e-6)
+    p = solve(grey, variance, RHO)
+    light = of_one_scale(p, grey, variance, clipped, rho).y
+    assert np.median(light[20:] / light[:20]) == pytest.approx(1.4 / 0.9, rel=0.1)
