@@ -107,7 +107,7 @@ def lay_out(targets: Sequence[Target], page: str = "a4") -> Sheet:
     raise ConfigError(
         f"{len(prints)} of {w:g} x {h:g} mm, {white:.3g} mm white around, with labels and ruler"
         f" do not fit on {width:g} x {height:g} mm, nor across",
-        f"print smaller or fewer, or on another --page: {', '.join(PAGES_MM)}",
+        f"print smaller or fewer, or on a larger --page of {', '.join(PAGES_MM)}",
     )
 
 

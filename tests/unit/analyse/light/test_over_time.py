@@ -283,5 +283,6 @@ def test_a_span_that_is_refused_takes_the_light_around_it_only_where_that_agrees
         len(t["lights"]) for t in told
     ] == [0, 0, 1]
     assert (
-        "before and after" in told[0]["reason"] and "soft light" in told[1]["reason"]
+        "the light before it" in told[0]["reason"]
+        and "soft light" in told[1]["reason"]
     )
