@@ -186,9 +186,7 @@ def recommendation(found: Measurements) -> str:
     and what would; where all show, the nearest, and whose difference it is. Said too where
     so little of the picture was compared that other parts of it may differ otherwise.
     """
-    by_quality = {
-        r.level: r for r in found.pipelines if r.level in QUALITIES and not r.other
-    }
+    by_quality = {r.level: r for r in found.pipelines if r.level in QUALITIES}
     reference = by_quality.pop("reference", None)
     others = sorted(by_quality.values(), key=lambda r: r.seconds)
     good = next((r for r in others if not visible(r)), None)

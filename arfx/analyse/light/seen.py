@@ -79,7 +79,7 @@ class Snapshot(NamedTuple):
 
     frame: int
     picture: ndarray
-    darkest: ndarray = np.zeros(3)
+    darkest: ndarray
 
 
 Seen = tuple[

@@ -69,6 +69,6 @@ def legible(luma: ndarray, seen: Candidate) -> tuple[bool, bool]:
 def scan(luma: ndarray) -> list[str]:
     """Keys of the plain markers of all families in a picture (h, w) uint8, of nested
     dictionaries by the smallest."""
-    seen = MarkerDetector(SCANNED_FAMILIES, MIN_SIDE_PX, inverted=False).search(luma)
+    seen = MarkerDetector(SCANNED_FAMILIES, MIN_SIDE_PX).search(luma)
     plain = [c for c in seen if legible(luma, c)[1]]
     return sorted({f"{smallest_family(c.family, c.id)}:{c.id}" for c in plain})

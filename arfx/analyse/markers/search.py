@@ -90,8 +90,7 @@ class MarkerSearch:
         shown = self.coded_sightings(frame, coded)
         shown += [Sighting(index, ANY, np.nan, s) for s in pictured]
         self._seen |= bool(shown)
-        scanned = not self._seen and index in SCANS
-        instead = (scan(luma) or scan(255 - luma)) if scanned else []
+        instead = [] if self._seen or index not in SCANS else scan(luma)
         self.rows += [
             FrameRow(index, frame.time_s, width, height, thumbnail(luma)),
             *shown,

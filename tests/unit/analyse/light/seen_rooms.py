@@ -150,7 +150,7 @@ class Clip:
         step = max(1, round(0.5 * (self.frames - 1) / self.seconds))
         small = CAMERA.scaled_to(75, 100)
         return [
-            Snapshot(k, self.picture(k, small).astype(np.float16))
+            Snapshot(k, self.picture(k, small).astype(np.float16), np.zeros(3))
             for k in range(0, self.frames, step)
         ]
 

@@ -215,7 +215,7 @@ def test_a_still_room_does_not_flicker() -> None:
     """Under noise of 2 % of white: beside maps of single looks, one in each frame."""
     clip = replace(ROUND.at_rest(), seconds=8.0)
     noise = np.random.default_rng(3)
-    looks = [Snapshot(look.frame, np.clip(look.picture + noise.normal(0, 0.02, look.picture.shape), 0, 1).astype(np.float16))
+    looks = [Snapshot(look.frame, np.clip(look.picture + noise.normal(0, 0.02, look.picture.shape), 0, 1).astype(np.float16), look.darkest)
              for look in clip.looks]  # fmt: skip
     found, maps = with_seen(analysed(clip)[0], looks, CAMERA, False, np.zeros(3), UP)
     s = scene(maps)
@@ -302,7 +302,7 @@ def test_frames_without_a_pose_have_none_and_a_missing_map_is_said() -> None:
     ]
     found, maps = with_seen(
         lost,
-        [Snapshot(1, ROUND.looks[0].picture)],
+        [Snapshot(1, ROUND.looks[0].picture, np.zeros(3))],
         CAMERA,
         False,
         np.zeros(3),
@@ -331,7 +331,10 @@ def test_a_fisheye_lens_sees_what_it_sees() -> None:
         "fisheye",
     )
     clip = CLIPS["under a sky"].at_rest()
-    looks = [Snapshot(k, clip.picture(k, wide).astype(np.float16)) for k in (0, 20)]
+    looks = [
+        Snapshot(k, clip.picture(k, wide).astype(np.float16), np.zeros(3))
+        for k in (0, 20)
+    ]
     found, maps = with_seen(clip.facts, looks, wide, False, np.zeros(3), UP)
     rgba = seen_now(found[0], scene(maps))
     assert np.isfinite(rgba).all() and (rgba[..., 3] > 0.99).mean() > 0.15
